@@ -14,7 +14,7 @@ use platebench_lab::acceptance::{
     AcceptError, AcceptancePlan, PublicKey, SecretKey, SessionConfig, SessionDetails, SessionHooks, SessionObserver,
     SessionRecord, Signer, page, play_session, verify,
 };
-use platebench_lab::boards::{BoardOutcome, Inventory};
+use platebench_lab::boards::{BoardOutcome, Inventory, RunsBelow};
 use platebench_model::quoted_path;
 use platebench_model::record::Verdict;
 use platebench_report::format::count;
@@ -123,8 +123,8 @@ pub(crate) fn acceptance(arguments: &AcceptanceArgs, quiet: bool) -> CommandResu
 fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
     let config = session_config(arguments)?;
     let reservation = arguments.board.reserve("acceptance run")?;
-    let started = reservation.as_ref().map(|board| board.started().to_owned()).unwrap_or_default();
     let folder = config.out.clone();
+    let earlier = RunsBelow::find(&folder);
     let kind = if quiet { ProgressKind::Quiet } else { ProgressKind::detect() };
     let view = SessionView::new(arguments.live);
     let operator = TerminalOperator::in_session(arguments.yes);
@@ -139,7 +139,7 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
         Ok(WorkResult::Abandoned(signal)) => (Err(AcceptError::Cancelled), Some(signal)),
         Err(error) => (Err(AcceptError::Run(RunError::Internal(error.to_string()))), None),
     };
-    let mut end = BoardOutcome::of_runs_below(&folder, &started);
+    let mut end = BoardOutcome::of_runs_below(&folder, &earlier);
     if let Err(AcceptError::Run(RunError::DifferentController { .. })) = &result {
         end.quarantine = result.as_ref().err().map(ToString::to_string);
     }

@@ -11,8 +11,8 @@ use crate::{shutdown, stdio};
 use clap::{Args, Subcommand};
 use platebench_engine::{CancelToken, RunError, RunPlan, rejudge};
 use platebench_lab::boards::{
-    Board, BoardError, BoardOutcome, Inventory, Reservation, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario,
-    clear, document, list, soak,
+    Board, BoardError, BoardOutcome, Inventory, Reservation, RunsBelow, SoakConfig, SoakEnd, SoakRecord, SoakResult,
+    SoakScenario, clear, document, list, soak,
 };
 use platebench_model::quoted_path;
 use platebench_model::record::Overrides;
@@ -222,6 +222,7 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
     let config = SoakConfig { plan, board: board.name.clone(), duration, fail_fast };
     let reservation = arguments.board.reserve("board soak")?;
     let (out, rig) = (arguments.out.clone(), board.rig.clone());
+    let earlier = RunsBelow::find(&out);
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
         soak(&config, &out, &|| config.plan.clock.connect(&rig, &options), cancel)
@@ -242,10 +243,7 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
             exit.show_verdict(&soak_reason(&record), OutputFormat::Human);
             (board, written.unwrap_or(exit))
         }
-        Err(error) => {
-            let started = reservation.as_ref().map_or("", |board| board.started());
-            (BoardOutcome::of_runs_below(&arguments.out, started), Failure::from(error).report())
-        }
+        Err(error) => (BoardOutcome::of_runs_below(&arguments.out, &earlier), Failure::from(error).report()),
     };
     release(reservation, end)?;
     Ok(signal.map_or(exit, Exit::Signal))

@@ -10,9 +10,10 @@ use platebench_design::identified_plate::{
 };
 use platebench_design::identify::{DirectFit, Identification};
 use platebench_lab::boards::Board;
-use platebench_model::external_csv::{self, ColumnMapping};
+use platebench_model::external_csv::{self, ColumnMapping, Dialect};
 use platebench_model::quoted_path;
 use platebench_model::recording::{Recording, RecordingError};
+use platebench_model::scenario::load::parse_plate;
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_new};
 use platebench_report::chart::FitChart;
 use platebench_report::document::{Block, Figure};
@@ -181,6 +182,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
                        plate at a known temperature";
         return Err(Failure::new(Exit::Inconclusive, &message));
     };
+    parse_plate(path, &text)?;
     if stdio::is_stdout(path) {
         stdio::show(&text);
     } else {
@@ -228,14 +230,34 @@ fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Fa
     let name = path.display().to_string();
     if let Some(columns) = &arguments.columns {
         let file = open_regular_file(path, MAX_TABLE_BYTES).or_invalid_at(path)?;
-        return external_csv::read(&name, file, columns).or_invalid();
+        let (recording, dialect) = external_csv::read(&name, file, columns).or_invalid()?;
+        note_dialect(path, Some(dialect));
+        return Ok(recording);
     }
     let signal = match arguments.signal {
         SignalSource::Sensed => platebench_model::recording::SampleSource::Sensed,
         SignalSource::True => platebench_model::recording::SampleSource::True,
     };
-    let rows = platebench_model::trace::read_trace(path).or_invalid()?;
+    let rows = platebench_model::trace::read_trace(path);
+    let rows = rows.map_err(|error| Failure::invalid(&format!("{error}{}", proposed_columns(path))))?;
     Recording::from_trace(name, &rows, signal).or_invalid_at(path)
+}
+
+/// Prints what differs from a CSV with titles in its first line.
+pub(crate) fn note_dialect(path: &Path, dialect: Option<Dialect>) {
+    if let Some(dialect) = dialect.filter(|dialect| !dialect.is_plain()) {
+        stdio::note(&format!("{}: {dialect}", quoted_path(path)));
+    }
+}
+
+fn proposed_columns(path: &Path) -> String {
+    let file = open_regular_file(path, MAX_TABLE_BYTES).ok();
+    file.and_then(external_csv::propose_columns).map_or_else(String::new, |columns| {
+        format!(
+            "\nA table of another program needs --columns. From its titles: --columns '{columns}'; write units that \
+             say peak to peak, peak or RMS in place of UNIT"
+        )
+    })
 }
 
 fn figures(recordings: &[Recording], found: &Identification, fits: &[DirectFit]) -> Vec<Figure> {

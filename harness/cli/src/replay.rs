@@ -1,6 +1,7 @@
 //! `platebench replay`: sends recorded samples to another firmware and compares its commands.
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
+use crate::identify::note_dialect;
 use crate::options::{OutputFormat, law_names, rig_help};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -49,6 +50,7 @@ pub(crate) struct ReplayArgs {
 pub(crate) fn replay(arguments: &ReplayArgs) -> CommandResult {
     arguments.rig.check().or_invalid()?;
     let input = read_input(arguments)?.with_law(arguments.law.as_deref());
+    note_dialect(&arguments.recording, input.dialect);
     let rig = arguments.rig.clone();
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };

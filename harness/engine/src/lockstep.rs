@@ -471,6 +471,8 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         if safe_confirmed {
             let sample = self.plant.sense();
             self.controller.watch_after_safe(self.session, now, sample);
+        } else if self.session.has_driven_after_safe() {
+            self.controller.observe_safe_state(self.session, now);
         } else if self.link_error.is_none() {
             self.link_error = self.session.end_before_safe();
         }

@@ -10,7 +10,7 @@ use crate::lockstep::OWN_CLOCK_WATCHDOG_TIMEOUT_MS;
 use crate::plan::{LinkFactory, RigSession, RunError};
 use crate::rejudge::{RejudgeError, apply_overrides, load_stored_scenario, read_trial_rows};
 use crate::trial::{TrialAbort, check_configuration, configure, law, law_number};
-use platebench_model::external_csv::{ColumnMapping, ExternalCsvError, read_rows};
+use platebench_model::external_csv::{ColumnMapping, Dialect, ExternalCsvError, TelemetryTable, read_rows};
 use platebench_model::record::{ClockKind, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
 use platebench_model::scenario::{Diagnostic, Scenario, load};
 use platebench_model::trace::{
@@ -135,6 +135,8 @@ impl Player<'_> {
         if lost.is_none() && self.session.request_safe_state() {
             let rest = Sample { time_us: now.wrapping_micros(), setpoint_um: 0.0, wd_um: 0.0, wq_um: 0.0 };
             self.controller.watch_after_safe(&mut self.session, now, rest);
+        } else if self.session.has_driven_after_safe() {
+            self.controller.observe_safe_state(&mut self.session, now);
         }
         self.controller.record_session(&self.session, now);
         let mut telemetry = self.controller.telemetry(&mut self.session, lost);
@@ -167,6 +169,8 @@ fn sample(step: &ReplayStep, now: Time) -> Sample {
 pub struct ReplayInput {
     pub recording: Recording,
     pub scenario: Scenario,
+    /// Form of the table. `None` for a trace.
+    pub dialect: Option<Dialect>,
 }
 
 impl ReplayInput {
@@ -257,7 +261,7 @@ fn from_rows(trace: &Path, rows: &[Row], scenario: Scenario, clock: ClockKind) -
     }
     let recording = Recording { name: trace.display().to_string(), steps, end };
     check_recording(trace, &recording, period_s)?;
-    Ok(ReplayInput { recording, scenario })
+    Ok(ReplayInput { recording, scenario, dialect: None })
 }
 
 pub(super) fn missing_sample(previous_s: f64, at_s: f64, period_s: f64) -> Option<RecordingEnd> {
@@ -329,7 +333,7 @@ pub fn read_telemetry_table(
     let scenario = load(scenario, &scenario.display().to_string())?;
     let name = table.display().to_string();
     let file = open_regular_file(table, MAX_TABLE_BYTES).at(table)?;
-    let rows = read_rows(&name, file, columns)?;
+    let TelemetryTable { rows, dialect } = read_rows(&name, file, columns)?;
     let first_s = rows.first().map_or(0.0, |row| row.t);
     let period_s = scenario.controller.period.seconds();
     let (mut steps, mut end, mut previous) = (Vec::with_capacity(rows.len()), None, None);
@@ -354,7 +358,7 @@ pub fn read_telemetry_table(
     }
     let recording = Recording { name, steps, end };
     check_recording(table, &recording, period_s)?;
-    Ok(ReplayInput { recording, scenario })
+    Ok(ReplayInput { recording, scenario, dialect: Some(dialect) })
 }
 
 #[derive(Debug, thiserror::Error)]

@@ -45,17 +45,19 @@ pub use plan::{CampaignPlan, part_name, shards_of_run};
 pub use play::{PlayConfig, TrialEvent, TrialSource, play_shard, play_trials};
 pub use row::ShardEnd;
 pub use summary::Summary;
+use summary::TestedController;
 pub use truncation::Truncation;
 pub use worst_run::{Response, ResponseLinks, play_worst, worst_trials};
 
 /// If a part is damaged, returns an error and keeps the results of an earlier merge.
 pub fn merge<'a>(
     folder: &Path,
-    plan: &CampaignPlan,
+    plan: &'a CampaignPlan,
     campaign: &'a Campaign,
     agreement: Option<Agreement>,
 ) -> Result<Summary<'a>, CampaignError> {
     let mut summary = Summary::new(campaign);
+    summary.tested = Some(TestedController { rig: &plan.rig, firmware_sha256: plan.firmware() });
     summary.agreement = agreement;
     for shard in 1..=plan.shards {
         if !plan.part_path(folder, shard).exists() {

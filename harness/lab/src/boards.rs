@@ -11,7 +11,7 @@ mod state;
 pub use inventory::{Board, BoardError, BoardSensor, INVENTORY_FILE, Inventory, RawInventory};
 pub use merge::{MergeError, merge_runs};
 pub use soak::{SOAK_FILE, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScenario, soak};
-pub use state::{BoardOutcome, LastRun, Quarantine};
+pub use state::{BoardOutcome, LastRun, Quarantine, RunsBelow};
 
 use crate::boards::state::{BoardFiles, BoardLock, StoredState};
 use platebench_model::record::{to_hex, utc_timestamp};
@@ -33,7 +33,6 @@ const MIN_WAIT: Duration = Duration::from_millis(500);
 pub struct Reservation {
     board: Board,
     files: BoardFiles,
-    started: String,
     _lock: BoardLock,
 }
 
@@ -64,16 +63,11 @@ impl Reservation {
         }
         state.mark_in_use(command);
         state.write(&files.state)?;
-        Ok(Self { board, files, started: utc_timestamp(), _lock: lock })
+        Ok(Self { board, files, _lock: lock })
     }
 
     pub fn board(&self) -> &Board {
         &self.board
-    }
-
-    /// Time at which the board was marked as in use, UTC, RFC 3339.
-    pub fn started(&self) -> &str {
-        &self.started
     }
 
     /// Removes the mark `in_use`. Puts the board into quarantine if `end` states a reason.

@@ -32,7 +32,7 @@ pub mod record {
     };
     pub use run_folder::{
         CAMPAIGN_PLAN_FILE, FileLock, FolderError, JOURNAL_FILE, RECORD_FILE, RecordError, RunFolder, RunSummary,
-        ScenarioSummary, newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
+        ScenarioSummary, is_run_folder, newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
     };
     pub use run_record::{
         BoardDifference, ClockKind, Event, FORMAT, FinishedScenario, Firmware, Host, InputRecord, JournalRecord,

@@ -329,6 +329,11 @@ impl<L: Link> Session<L> {
         false
     }
 
+    /// True if the controller commanded a drive after it confirmed 0 V, even in the same read.
+    pub fn has_driven_after_safe(&self) -> bool {
+        self.audit.drives_after_safe().is_some()
+    }
+
     /// Reads the line after the controller confirmed 0 V, for at least 20 ms and 10 control periods
     /// of the target's time, or for 20 ms after a cancellation. Requests 0 V again if the controller commanded a drive. Returns the
     /// commands with a drive since the last call.

@@ -37,7 +37,7 @@ fn plan_text(scenarios: &[&str], repetitions: u32) -> String {
     )
 }
 
-fn session_folder() -> TestFolder {
+pub(crate) fn session_folder() -> TestFolder {
     let folder = TestFolder::with_scenario(&step_scenario("aluminium-198x138-noisy", "", "", GOOD));
     let (secret, public) = key_pair(1);
     folder.write("plan.toml", &plan_text(&["s.toml"], 3));
@@ -50,7 +50,7 @@ fn session_folder() -> TestFolder {
 const SESSION: [&str; 8] = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", "hosted"];
 
 #[track_caller]
-fn run_session(folder: &TestFolder, more: &[&str]) -> ProgramOutput {
+pub(crate) fn run_session(folder: &TestFolder, more: &[&str]) -> ProgramOutput {
     folder.bench(SESSION.iter().chain(more))
 }
 

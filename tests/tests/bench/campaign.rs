@@ -107,9 +107,12 @@ fn a_grid_without_judge_and_requirement_is_a_map() {
     play(&folder, "c", 1, 1);
     folder.bench(["campaign", "merge", "c"]).assert_exit(3).assert_stdout(&["inconclusive (evidence)"]);
     play(&folder, "c", 2, 1);
-    let merged = folder.bench(["campaign", "merge", "c"]);
-    merged.assert_exit(0).assert_stdout(&["map, not judged", "of 24 trials", " inconclusive\n"]);
+    let merged = folder.bench(["campaign", "merge", "c"]).assert_exit(0);
     let result = summary(&folder, "c");
+    let firmware = result["firmware_sha256"].as_str().unwrap();
+    assert_eq!((&result["rig"], firmware.len()), (&Value::from("emulated"), 64));
+    let tested = format!("tested: rig emulated, firmware SHA-256 {firmware:.12}\n");
+    merged.assert_stdout(&["map, not judged", "of 24 trials", " inconclusive\n", &tested]);
     assert!(result["overall"]["failures"].as_u64().unwrap() > 0, "{result}");
     assert_eq!((&result["verdict"], &result["judged"]), (&Value::Null, &Value::Bool(false)));
     assert!(result["cells"].as_array().unwrap().iter().any(|cell| cell["verdict"] == "fail"), "{result}");

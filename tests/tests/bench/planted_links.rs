@@ -138,6 +138,65 @@ fn the_page_of_a_soak_replaces_a_link() {
 }
 
 #[test]
+fn a_soak_replaces_a_link_and_refuses_one_for_a_folder() {
+    let (folder, private) = (TestFolder::with_step(SETTLING), Private::new());
+    folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"hosted\"\n");
+    let soak = ["board", "soak", "--board", "left", "--hours", "0.00001", "--out", "soak"];
+    fs::create_dir(folder.join("soak")).unwrap();
+    private.plant_file(&folder.join("soak/soak.json"));
+    folder.bench(soak).assert_exit(0);
+    assert_written(&folder, &["soak/soak.json"]);
+    private.assert_untouched();
+    fs::remove_dir_all(folder.join("soak")).unwrap();
+    fs::create_dir(folder.join("soak")).unwrap();
+    private.plant_folder(&folder.join("soak/runs"));
+    folder.bench(soak);
+    private.assert_untouched();
+}
+
+#[test]
+fn an_exploration_replaces_links_in_the_place_of_files() {
+    const FILES: [&str; 2] = ["explored/explore.json", "explored/report.html"];
+    let (folder, private) = (TestFolder::new(), Private::new());
+    fs::create_dir(folder.join("explored")).unwrap();
+    FILES.iter().for_each(|file| private.plant_file(&folder.join(file)));
+    let explore = ["suite", "explore", "--rig", "hosted", "--scenes", "2", "--seed", "1", "--out", "explored"];
+    folder.bench(explore).assert_exit(0);
+    assert_written(&folder, &FILES);
+    private.assert_untouched();
+}
+
+#[rstest]
+#[case::of_the_inputs("joined/inputs")]
+#[case::of_the_traces("joined/traces")]
+fn joined_runs_refuse_a_link_in_the_place_of_a_folder(#[case] link: &str) {
+    let (folder, private) = (TestFolder::new(), Private::new());
+    for name in ["a.toml", "b.toml"] {
+        folder.write_scenario(name, &step_text(SETTLING));
+    }
+    folder.bench(["run", "--rig", "hosted", "--shard", "1/2", "--out", "one"]).assert_exit(0);
+    folder.bench(["run", "--rig", "hosted", "--shard", "2/2", "--out", "two"]).assert_exit(0);
+    fs::create_dir(folder.join("joined")).unwrap();
+    private.plant_folder(&folder.join(link));
+    let output = folder.bench(["report", "--merge", "one", "two", "--out", "joined"]);
+    output.assert_message(2, &[&format!("{link}: is a symbolic link")]);
+    private.assert_untouched();
+}
+
+#[test]
+fn a_resumed_session_refuses_a_link_in_the_place_of_its_steps() {
+    let (folder, private) = (crate::accept::session_folder(), Private::new());
+    crate::accept::run_session(&folder, &["--yes"]).assert_exit(0);
+    let text = folder.read("record/session.json").replacen("\"complete\": true", "\"complete\": false", 1);
+    folder.write("record/session.json", &text.replace("\"done\": true", "\"done\": false"));
+    private.plant_folder(&folder.join("record/steps"));
+    private.plant_file(&folder.join("record/report.html"));
+    let output = crate::accept::run_session(&folder, &["--yes", "--resume", "record"]);
+    output.assert_message(2, &["record/steps: is a symbolic link"]);
+    private.assert_untouched();
+}
+
+#[test]
 fn accepting_a_baseline_replaces_links_in_the_place_of_files() {
     const FILES: [&str; 2] = ["golden/s.csv", "golden/s.toml"];
     let (folder, private) = (with_runs(&["run"]), Private::new());

@@ -7,6 +7,7 @@ mod alignment;
 mod coverage;
 mod effects;
 mod inconsistency;
+mod instruments;
 mod interval_coverage;
 mod lost_rows;
 mod orientation;

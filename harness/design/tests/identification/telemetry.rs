@@ -22,8 +22,9 @@ fn read_error(lines: &[String]) -> String {
 
 #[test]
 fn units_are_converted() {
-    let recording =
+    let (recording, dialect) =
         external_csv::read("plate.csv", step_table().join("\n").as_bytes(), &COLUMNS.parse().unwrap()).unwrap();
+    assert!(dialect.is_plain(), "{dialect}");
     assert_eq!((recording.outputs.len(), recording.inputs.len()), (30, 2), "inputs that change nothing are dropped");
     let step = recording.inputs[1];
     assert!((step.t - 2e-3).abs() < 1e-15 && step.vpp == 300.0 && (step.omega - TAU * 32_307.6).abs() < 1e-6);
@@ -42,7 +43,7 @@ fn units_are_converted() {
 #[case(5, "4,-1,32.3,1,0,0", ":6: column 2 (`V`) is `-1`, expected 0 or more")]
 #[case(5, "4,300,0,1,0,0", ":6: column 3 (`f`) is `0`, expected a frequency above 0")]
 #[case(5, "3,300,32.3,1,0,0", ":6: column 1 (`t`) is `3`, expected a time after that of the row above")]
-#[case(0, "t,V,f,Wd,Wq,T,V", ":1: columns 2 and 7 both have the title `V`, expected one; rename one")]
+#[case(0, "t,V,f,Wd,Wq,T,V", ":1: columns 2 and 7 both have the title `V`; expected V#1 or V#2")]
 #[case(0, "t,V,f,Wd,W_q,T", ":1: no column `Wq` in: t, V, f, Wd, W_q, T; --columns names the columns")]
 fn rejects_a_bad_cell_with_its_line(#[case] line: usize, #[case] text: &str, #[case] message: &str) {
     let mut lines = step_table();
@@ -59,7 +60,7 @@ fn a_repeated_title_without_a_role_is_accepted() {
 #[test]
 fn a_minus_sign_before_the_unit_reverses_a_component() {
     let table = step_table().join("\n");
-    let read = |columns: &str| external_csv::read("", table.as_bytes(), &columns.parse().unwrap()).unwrap().outputs;
+    let read = |columns: &str| external_csv::read("", table.as_bytes(), &columns.parse().unwrap()).unwrap().0.outputs;
     let (plain, reversed) = (read(COLUMNS), read(&COLUMNS.replace("Wq:nm", "Wq:-nm")));
     assert!(plain.iter().zip(&reversed).all(|(a, b)| a.w.re == b.w.re && a.w.im == -b.w.im && a.w.im != 0.0));
 }
@@ -79,7 +80,10 @@ fn rejects_an_unusable_recording() {
 #[rstest]
 #[case("time=t:s,drive=V:V,frequency=f:Hz,wd=Wd:um", "no column for the role wq, expected wq=COLUMN:UNIT")]
 #[case("time=t:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um,speed=v", "`speed`, expected a role of time, drive")]
-#[case("time=t:min,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "unit `min` of time, expected s or ms or us")]
+#[case(
+    "time=t:min,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um",
+    "unit `min` of time, expected s or ms or us or datetime"
+)]
 #[case("time=t:ms,drive=V", "`drive=V` names the column `V` without its unit, expected drive=V:UNIT with Vpp or V")]
 #[case("time=t:ms,drive=:V", "`drive=:V` names no column, expected drive=COLUMN:V")]
 #[case("time=t:s,time=u:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "two columns for the role time")]

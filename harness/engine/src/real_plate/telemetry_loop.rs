@@ -85,7 +85,8 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
     pub(super) fn run(mut self) -> TelemetryLoopResult {
         let ended = self.exchange_until_end().err();
         let safe_confirmed = self.session.request_safe_state();
-        let drives = if safe_confirmed { self.session.observe_safe_state() } else { None };
+        let is_observed = safe_confirmed || self.session.has_driven_after_safe();
+        let drives = if is_observed { self.session.observe_safe_state() } else { None };
         let violation = drives.map(|drives| drive_violation(drives, self.telemetry.time().unwrap_or(Time::ZERO)));
         let controller_failed = matches!(&ended, Some(TrialAbort::Lost(error)) if is_controller_failure(error));
         if let Some(TrialAbort::Lost(RigError::ConfigurationRejected(_))) = &ended {

@@ -323,7 +323,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         scheduling: &ThreadScheduling,
     ) -> Option<(Telemetry, Option<RigError>)> {
         let safe_confirmed = self.session.request_safe_state();
-        if safe_confirmed {
+        if safe_confirmed || self.session.has_driven_after_safe() {
             self.controller.observe_safe_state(self.session, self.plant.time());
         }
         self.controller.record_session(self.session, self.plant.time());

@@ -76,6 +76,20 @@ fn a_doubled_confirmation_of_0_v_fails_as_a_second_reply() {
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::SecondReply]));
 }
 
+/// A slow bench reads both messages at once.
+#[test]
+fn a_drive_in_one_read_with_the_confirmation_is_a_drive_after_0_v() {
+    let record = run_with(|packet| {
+        let Message::Command(command) = packet.message else { return None };
+        let drive = Command { state: ControllerState::Running, drive_vpp: 900.0, ..command };
+        let is_safe = command.state == ControllerState::Safe;
+        is_safe.then(|| frame(&Packet { sequence: packet.sequence, message: Message::Command(drive) }))
+    });
+    assert_eq!(record.verdict, Verdict::Fail);
+    assert!(violations(&record).contains(&ViolationKind::DriveAfterSafe), "{:?}", violations(&record));
+    assert_eq!((record.drive_after_safe, record.safe_confirmed), (true, Some(false)));
+}
+
 #[test]
 fn an_invented_confirmation_of_0_v_fails_with_its_own_reason() {
     let record = run_with(|packet| match packet.message {

@@ -60,6 +60,11 @@ struct PinnedInput {
 }
 
 impl CampaignPlan {
+    /// SHA-256 of the firmware image, or of the controller's identity and program.
+    pub fn firmware(&self) -> &str {
+        &self.firmware
+    }
+
     /// `folder` is the campaign folder, which need not exist.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
         let relative = |path: &Path| relative_path(path, folder).at(path);

@@ -9,6 +9,7 @@ use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
 use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow, keep_worst, margin_text};
 use crate::campaign::sample::{Sample, SampleResult};
 use crate::campaign::truncation::Truncation;
+use platebench_model::quoted;
 use platebench_model::record::{Cause, Verdict};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -25,6 +26,9 @@ pub struct CampaignResult<'a> {
     pub format: u32,
     pub title: &'a str,
     pub method: Method,
+    /// `None` without a plan.
+    #[serde(flatten)]
+    pub tested: Option<TestedController<'a>>,
     /// `None` for a complete map, which is not judged.
     pub verdict: Option<Verdict>,
     pub cause: Option<Cause>,
@@ -59,6 +63,14 @@ pub struct CampaignResult<'a> {
     /// The inner value is `None` if no look at the first trials gives a verdict.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequential: Option<Option<SequentialResult>>,
+}
+
+/// The controller of all shards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, JsonSchema)]
+pub struct TestedController<'a> {
+    pub rig: &'a str,
+    /// SHA-256 of the firmware image, or of the controller's identity and program.
+    pub firmware_sha256: &'a str,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -123,6 +135,7 @@ pub struct SequentialResult {
 #[derive(Debug)]
 pub struct Summary<'a> {
     pub campaign: &'a Campaign,
+    pub tested: Option<TestedController<'a>>,
     pub missing: Vec<u32>,
     pub overall: Tally,
     /// One tally per cell (combination of listed values).
@@ -147,6 +160,7 @@ impl<'a> Summary<'a> {
         let cells = (0..campaign.cells).map(|_| Tally::new(expectations)).collect();
         Self {
             campaign,
+            tested: None,
             missing: Vec::new(),
             overall: Tally::new(expectations),
             cells,
@@ -304,6 +318,7 @@ impl<'a> Summary<'a> {
             format: 1,
             title: &campaign.title,
             method: campaign.method,
+            tested: self.tested,
             verdict: self.verdict(),
             cause: self.cause(),
             judged: !campaign.is_map,
@@ -370,6 +385,9 @@ impl<'a> Summary<'a> {
             let _ = write!(counts, ", at most {} % demanded", demanded * 100.0);
         }
         lines.push(counts);
+        lines.extend(self.tested.map(|TestedController { rig, firmware_sha256 }| {
+            format!("tested: rig {}, firmware SHA-256 {firmware_sha256:.12}", quoted(rig))
+        }));
         match self.campaign.method {
             Method::Search => lines.push(self.chains.search_line(self.failing.first())),
             Method::Rare => lines.extend(self.chains.rare_lines(confidence)),

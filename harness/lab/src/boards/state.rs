@@ -3,11 +3,14 @@
 
 use crate::boards::inventory::{Board, BoardError, Inventory};
 use platebench_engine::RunError;
-use platebench_model::record::{RECORD_FILE, RunRecord, Verdict, utc_timestamp};
+use platebench_model::record::{
+    JOURNAL_FILE, RECORD_FILE, RunRecord, Verdict, is_run_folder, sha256_of_file, utc_timestamp,
+};
 use platebench_model::trace::{AtPath, FileError, OutputFolder, create_folder, read_text_file, write_atomically};
 use platebench_rig::{LockHolder, lock_file};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -194,7 +197,7 @@ impl BoardOutcome {
     fn of_error(error: &RunError, folder: &Path) -> Self {
         let mut end = match RunRecord::read(folder) {
             Ok(record) => Self::of_record(&record, folder),
-            Err(_) if folder.join(RECORD_FILE).exists() => Self::unconfirmed(),
+            Err(_) if is_run_folder(folder) => Self::unconfirmed(),
             Err(_) => Self::untouched(),
         };
         if let RunError::DifferentController { .. } = error {
@@ -203,33 +206,72 @@ impl BoardOutcome {
         end
     }
 
-    /// Combines all runs in and below `folder` from `since` on. `last_run` is the newest of them.
-    pub fn of_runs_below(folder: &Path, since: &str) -> Self {
+    /// Combines all runs in and below `folder` except for the `earlier` ones. `last_run` is the
+    /// newest of them.
+    pub fn of_runs_below(folder: &Path, earlier: &RunsBelow) -> Self {
         let mut end = Self::untouched();
-        end.add_runs_below(folder, since, MAX_DEPTH);
-        end
-    }
-
-    fn add_runs_below(&mut self, folder: &Path, since: &str, depth: usize) {
-        if folder.join(RECORD_FILE).exists() {
-            let run = match RunRecord::read(folder) {
-                Ok(record) if record.started.as_str() < since => return,
-                Ok(record) => Self::of_record(&record, folder),
-                Err(_) => Self::unconfirmed(),
-            };
-            self.quarantine = self.quarantine.take().or(run.quarantine);
+        for (path, digest) in RunsBelow::find(folder).0 {
+            if earlier.0.get(&path) == Some(&digest) {
+                continue;
+            }
+            let run = RunRecord::read(&path).map_or_else(|_| Self::unconfirmed(), |run| Self::of_record(&run, &path));
+            end.quarantine = end.quarantine.take().or(run.quarantine);
             // If two runs started in the same second, the one with the later folder name counts as
             // newer.
-            if run.last_run.as_ref().map(|run| &run.started) >= self.last_run.as_ref().map(|run| &run.started) {
-                self.last_run = run.last_run;
+            if run.last_run.as_ref().map(|run| &run.started) >= end.last_run.as_ref().map(|run| &run.started) {
+                end.last_run = run.last_run;
             }
+        }
+        end
+    }
+}
+
+/// Run folders with the digests of their records. Tells new runs from earlier ones without a clock,
+/// because a clock can be set back.
+#[derive(Debug, Default)]
+pub struct RunsBelow(BTreeMap<PathBuf, Vec<Option<String>>>);
+
+impl RunsBelow {
+    /// Finds the runs in and below `folder`, which may be missing.
+    pub fn find(folder: &Path) -> Self {
+        let mut runs = Self::default();
+        runs.add(folder, MAX_DEPTH);
+        runs
+    }
+
+    fn add(&mut self, folder: &Path, depth: usize) {
+        if is_run_folder(folder) {
+            let files = [RECORD_FILE, JOURNAL_FILE].map(|file| sha256_of_file(&folder.join(file)).ok());
+            self.0.insert(folder.to_owned(), files.to_vec());
             return;
         }
         let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
-        let mut folders: Vec<_> = entries.filter(|path| depth > 0 && path.is_dir()).collect();
-        folders.sort_unstable();
-        for below in folders {
-            self.add_runs_below(&below, since, depth - 1);
+        entries.filter(|path| depth > 0 && path.is_dir()).for_each(|below| self.add(&below, depth - 1));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_records_that_are_new_or_changed_count() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let write = |name: &str, text: &str| std::fs::write(path(name), text).unwrap();
+        for run in ["steps", "steps/a", "steps/b"] {
+            std::fs::create_dir(path(run)).unwrap();
         }
+        write("steps/a/run.json", "cut off");
+        let earlier = RunsBelow::find(folder.path());
+        let outcome = || BoardOutcome::of_runs_below(folder.path(), &earlier);
+        assert_eq!(outcome(), BoardOutcome::untouched());
+        write("steps/b/trials.jsonl", "cut off");
+        assert_eq!(outcome(), BoardOutcome::unconfirmed());
+        std::fs::remove_file(path("steps/b/trials.jsonl")).unwrap();
+        assert_eq!(outcome(), BoardOutcome::untouched());
+        // A repeated step has the folder of the earlier one.
+        write("steps/a/run.json", "cut off elsewhere");
+        assert_eq!(outcome(), BoardOutcome::unconfirmed());
     }
 }

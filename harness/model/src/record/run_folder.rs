@@ -138,10 +138,14 @@ struct RunOrder {
 /// Returns the folder of the newest run below `runs`; of equal ones, the one with the last name. Fails
 /// if a record cannot be read, because it may be that of the newest run.
 pub fn newest_run(runs: &Path) -> Result<Option<PathBuf>, RecordError> {
-    let has_record = |path: &PathBuf| [RECORD_FILE, JOURNAL_FILE].iter().any(|file| path.join(file).is_file());
     let folders = fs::read_dir(runs).into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path()));
-    let orders = folders.filter(has_record).map(|path| Ok((read_order(&path)?, path)));
+    let orders = folders.filter(|path| is_run_folder(path)).map(|path| Ok((read_order(&path)?, path)));
     Ok(orders.collect::<Result<Vec<_>, RecordError>>()?.into_iter().max().map(|(_, path)| path))
+}
+
+/// True if the folder contains the record of a run or its journal.
+pub fn is_run_folder(path: &Path) -> bool {
+    [RECORD_FILE, JOURNAL_FILE].iter().any(|file| path.join(file).is_file())
 }
 
 fn newest_in(runs: &Path) -> Option<(RunOrder, PathBuf)> {

@@ -15,7 +15,7 @@ use crate::scenario::raw::RawScenario;
 use crate::scenario::schema::{PLATE_SCHEMA, SCENARIO_SCHEMA};
 pub(crate) use checker::Checker;
 use checker::{KnownPlate, check_plate};
-pub use checker::{implausible_values, load_plate, require_no_effects};
+pub use checker::{implausible_values, load_plate, parse_plate, require_no_effects};
 use platebench_plate::RawPlate;
 use schemars::{JsonSchema, Schema};
 use serde::de::DeserializeOwned;

@@ -4,7 +4,8 @@
 use crate::effects_reference::EffectsReference;
 use crate::reference::{Random, ReferencePlate, SETPOINT, conditions, distance, finger_profile, paper_plate};
 use platebench_plate::{
-    Amplifier, ConditionProfiles, Drive, Effects, Heating, Model, Plant, Plate, Profile, SecondMode, Time,
+    Amplifier, Complex64, ConditionProfiles, Drive, Effects, Heating, Model, Plant, Plate, Profile, SecondMode,
+    SensorElectronics, Time,
 };
 use rstest::rstest;
 use std::f64::consts::{E, TAU};
@@ -19,10 +20,10 @@ fn power(random: &mut Random, low: f64, high: f64) -> f64 {
     10.0_f64.powf(random.in_range(low, high))
 }
 
-/// 1 kHz to 2.5 MHz with a quality factor from 5 to `max_quality`.
+/// 1 kHz to 2.5 MHz with a quality factor from 1 to `max_quality`.
 fn random_plate(random: &mut Random, max_quality: f64) -> Plate {
     let omega0 = TAU * power(random, 3.0, 6.398);
-    let sigma0 = omega0 / 2.0 / power(random, 0.7, max_quality.log10());
+    let sigma0 = omega0 / 2.0 / power(random, 0.0, max_quality.log10());
     let damping_ratio = vec![[0.0, 1.0], [1.5, random.in_range(1.0, 4.0)]];
     let omega0_per_k = -omega0 * power(random, -5.0, -3.0);
     Plate { omega0, sigma0, damping_ratio, omega0_per_k, ..paper_plate() }
@@ -38,28 +39,52 @@ fn random_bandwidth(plate: &Plate, random: &mut Random) -> Amplifier {
     Amplifier { pole: Some((plate.sigma0 * power(random, -2.0, 2.0)).min(TAU * 1e9)), ..Amplifier::default() }
 }
 
-/// Largest error of W, U/ω and the waveform. The drives are from `least` Vpp up to the limit.
+/// Largest error of W, U/ω, the waveform and the reading of the sensor, at each quarter of a command
+/// period. The drives are from `least` Vpp up to the limit. Dead time and latency are multiples of a
+/// quarter.
 fn error_of(plate: &Plate, scene: &ConditionProfiles, least: f64, random: &mut Random) -> f64 {
     let mut plant = Plant::new(plate.clone(), scene.clone(), Model::Modal);
     let mut reference = EffectsReference::at_rest(plate, scene);
-    let period = command_period(plate);
+    let quarter = command_quarter(plate);
+    let quarters = |time: Time| (time.seconds() / quarter.seconds()).round() as u64;
+    let dead_quarters = quarters(plate.effects.amplifier.dead_time);
+    let latency_quarters = quarters(plate.effects.sensor.latency) as usize;
+    let mut acting = Drive::default();
+    let mut commands = Vec::new();
+    let mut earlier = vec![Complex64::ZERO];
     let mut worst = 0.0_f64;
-    for number in 1..=COMMANDS {
-        let width = 3.0 * plate.sigma0.max(plate.omega0 / 2e3).min(plate.omega0 / 20.0);
-        let resonance = plant.mode_at(plant.time()).omega0;
-        let drive =
-            Drive { vpp: random.in_range(least, LIMIT_VPP), omega: resonance + random.in_range(-1.0, 1.0) * width };
-        plant.set_drive(drive);
-        plant.advance(period.times(number), &[], &mut Vec::new());
-        reference.advance(period.seconds(), drive.vpp, drive.omega);
+    for number in 0..4 * COMMANDS {
+        if number % 4 == 0 {
+            let width = 3.0 * plate.sigma0.max(plate.omega0 / 2e3).min(plate.omega0 / 20.0);
+            let resonance = plant.mode_at(plant.time()).omega0;
+            let drive =
+                Drive { vpp: random.in_range(least, LIMIT_VPP), omega: resonance + random.in_range(-1.0, 1.0) * width };
+            plant.set_drive(drive);
+            // The first drive is the initial state of the amplifier.
+            commands.push((if number == 0 { 0 } else { number + dead_quarters }, drive));
+        }
+        if let Some((_, drive)) = commands.iter().find(|(at, _)| *at == number) {
+            acting = *drive;
+        }
+        let time = quarter.times(number + 1);
+        plant.advance(time, &[], &mut Vec::new());
+        reference.advance(quarter.seconds(), acting.vpp, acting.omega);
         worst = worst.max(SETPOINT * distance(&plant.state(), &reference.state(), plate.omega0));
         worst = worst.max((plant.waveform() - reference.waveform()).abs());
+        earlier.push(reference.state().w);
+        let read = earlier.len().checked_sub(latency_quarters + 1).map_or(Complex64::ZERO, |then| earlier[then]);
+        let read = read * (1.0 + plate.effects.sensor.gain_drift_per_s * time.seconds());
+        worst = worst.max((plant.sensor_reading() - read).norm());
     }
     worst / (plate.gain * LIMIT_VPP)
 }
 
+fn command_quarter(plate: &Plate) -> Time {
+    Time::from_seconds(CARRIER_PERIODS * TAU / plate.omega0 / 4.0).unwrap()
+}
+
 fn command_period(plate: &Plate) -> Time {
-    Time::from_seconds(CARRIER_PERIODS * TAU / plate.omega0).unwrap()
+    command_quarter(plate).times(4)
 }
 
 /// A force that rises by up to 2 N during the trial or in 1 µs to 0.1 s, whichever is longer.
@@ -100,26 +125,37 @@ fn check(what: &str, count: u32, case: impl Fn(&mut Random) -> Case) {
 #[rstest]
 fn random_plates_keep_the_bound_of_each_effect(
     #[values(false, true)] moving: bool,
-    #[values("none", "second mode", "bandwidth", "offset", "slew rate")] effect: &str,
+    #[values("none", "second mode", "bandwidth", "offset", "slew rate", "dead time", "sensor")] effect: &str,
 ) {
     check(&format!("{effect}, moving {moving}"), 24, |random| {
-        let plate = random_plate(random, 1e5);
+        let plate = random_plate(random, 1e9);
         let mut at_most = if moving { 3e-7 } else { 1e-10 };
         let amplifier = match effect {
             "bandwidth" => random_bandwidth(&plate, random),
+            "dead time" => Amplifier {
+                dead_time: command_quarter(&plate).times(random.in_range(0.0, 9.0) as u64),
+                ..Amplifier::default()
+            },
             "offset" => Amplifier { offset_vpp: random.in_range(-9.0, 9.0), ..Amplifier::default() },
             "slew rate" => {
                 let period = command_period(&plate).seconds();
                 let slew_rate = LIMIT_VPP / period * power(random, -1.0, 1.0);
-                // The end of a ramp is rounded to 1 ns.
-                let of_command = plate.sigma0 * slew_rate / LIMIT_VPP * 1e-18 / 2.0;
+                // The end of a ramp is rounded to 1 ns. Half of this impulse moves the slow pole and half
+                // the fast one, so that U/ω differs by the sum of both.
+                let of_command = plate.sigma0 * slew_rate / LIMIT_VPP * 1e-18;
                 at_most += of_command / -(-plate.sigma0 * period).exp_m1();
                 Amplifier { slew_rate: Some(slew_rate), ..Amplifier::default() }
             }
             _ => Amplifier::default(),
         };
         let second_mode = (effect == "second mode").then(|| random_second_mode(&plate, random));
-        let plate = Plate { effects: Effects { amplifier, second_mode, ..Effects::default() }, ..plate };
+        let sensor = if effect == "sensor" {
+            let latency = command_quarter(&plate).times(random.in_range(0.0, 33.0) as u64);
+            SensorElectronics { latency, gain_drift_per_s: random.in_range(-0.5, 0.5) }
+        } else {
+            SensorElectronics::default()
+        };
+        let plate = Plate { effects: Effects { amplifier, second_mode, sensor, ..Effects::default() }, ..plate };
         let scene = if moving { ramp(&plate, random) } else { conditions(0.0, random.in_range(0.0, 2.0)) };
         Case { plate, scene, least: 0.0, at_most }
     });

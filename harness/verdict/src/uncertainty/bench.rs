@@ -182,7 +182,7 @@ fn propagation_um(scenario: &Scenario, setpoint: f64) -> f64 {
     let of_pole =
         amplifier.pole.map_or(0.0, |pole| POLE_DIFFERENCE / (pole / sigma - 1.0).abs().max(MIN_POLE_DISTANCE));
     let of_slew_rate = amplifier.slew_rate.map_or(0.0, |rate| {
-        let unsettled = plate.sigma0 * (rate / plate.drive_limit_vpp * RAMP_END_S).min(1.0) * RAMP_END_S / 2.0;
+        let unsettled = plate.sigma0 * (rate / plate.drive_limit_vpp * RAMP_END_S).min(1.0) * RAMP_END_S;
         unsettled / -(-sigma * scenario.controller.period.seconds()).exp_m1()
     });
     modes + (of_pole + of_slew_rate) * largest
@@ -355,9 +355,9 @@ mod tests {
     #[case::other_bandwidth("bandwidth_hz = 5e3", 1e-10 * 2.0)]
     // 1/(2π · 1.88 ms).
     #[case::bandwidth_of_the_plate("bandwidth_hz = 84.656884623349", 2e-10 + 3e-8 * 6.282)]
-    // σ0 · 1e12/900 Vpp · (1 ns)²/2 of 6.282 µm, for periods of 1 ms: 1 − e^(−1/1.88) = 0.41248.
-    #[case::slew_rate("slew_rate_vpp_per_ms = 9e7", 2e-10 + 531.915 * 1e8 * 5e-19 / 0.412_48 * 6.282)]
-    #[case::slew_rate_above_the_resolution("slew_rate_vpp_per_ms = 9e20", 2e-10 + 531.915 * 5e-10 / 0.412_48 * 6.282)]
+    // σ0 · 9e10/900 Vpp/s · (1 ns)² of 6.282 µm, for periods of 1 ms: 1 − e^(−1/1.88) = 0.41248.
+    #[case::slew_rate("slew_rate_vpp_per_ms = 9e7", 2e-10 + 531.915 * 1e8 * 1e-18 / 0.412_48 * 6.282)]
+    #[case::slew_rate_above_the_resolution("slew_rate_vpp_per_ms = 9e20", 2e-10 + 531.915 * 1e-9 / 0.412_48 * 6.282)]
     // 9.638 Hz/K · 2π · 4 K/µm² · (6.282 µm)² / 0.03 s / (202 995/s)².
     #[case::heating("\n[heating]\nrise_k_per_um2 = 4.0\ntime_constant_s = 0.03\n", (3e-7 + 7.7328e-6 / 10.873_13) * 6.282)]
     fn the_propagation_has_the_bound_of_its_effects(#[case] keys: &str, #[case] um: f64) {

@@ -170,7 +170,8 @@ impl Checker<'_> {
     }
 }
 
-fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
+/// Like [`load_plate`], for a file that is not written yet.
+pub fn parse_plate(path: &Path, text: &str) -> Result<Plate, Vec<Diagnostic>> {
     check_plate(path, text, parse(path, text)?)
 }
 
