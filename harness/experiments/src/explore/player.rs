@@ -195,8 +195,8 @@ pub enum ExploreError {
     Rig(#[from] RigError),
     #[error(transparent)]
     Run(#[from] RunError),
-    #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
-    LawNotAnnounced(&'static str),
+    #[error("the controller does not announce the law {law}, expected {options}")]
+    LawNotAnnounced { law: String, options: String },
     #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
     Generated(Box<Diagnostic>),
     #[error("internal error: the bench generated no scene ({0}); report this message and the seed")]

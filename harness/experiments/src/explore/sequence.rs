@@ -7,6 +7,7 @@
 
 use crate::explore::envelope::Envelope;
 use crate::explore::guidance::{below, random_numbers};
+use crate::explore::limits::ExploredLaw;
 use crate::explore::properties::{Property, REFERENCE_DIFFERENCE_PERCENT};
 use crate::explore::scenario_file::{SceneScenario, raw_plate};
 use platebench_model::scenario::raw::{RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
@@ -87,6 +88,8 @@ pub struct SequenceLimits {
     pub has_loop_delay: bool,
     pub has_own_plate: bool,
     pub laws: Vec<LawId>,
+    /// True for an own law, which may ignore configured gains.
+    pub is_own_law: bool,
 }
 
 impl SequenceLimits {
@@ -99,6 +102,7 @@ impl SequenceLimits {
             has_loop_delay: identity.has_capability(capabilities::LOOP_DELAY),
             has_own_plate: identity.has_capability(capabilities::OWN_PLATE),
             laws: LawId::ALL.into_iter().filter(|law| identity.has_law(*law)).collect(),
+            is_own_law: identity.laws == 0,
         }
     }
 
@@ -696,6 +700,7 @@ impl Draw<'_> {
                 configure(ConfigurationChange { period_us: Some(1_000), loop_delay_us: Some(1_001), ..NONE })
             }
             9 if !self.limits.has_own_plate => configure(ConfigurationChange { own_plate: true, ..NONE }),
+            _ if self.limits.is_own_law => configure(ConfigurationChange { response_time_s: Some(response), ..NONE }),
             _ => configure(ConfigurationChange { gains: Some(gains), ..NONE }),
         }
     }
@@ -762,7 +767,7 @@ const fn configure(change: ConfigurationChange) -> ScenarioMessage {
 /// Builds the scenario of a sequence. Its trial is as short as possible.
 pub fn scenario(
     envelope: &Envelope,
-    law: LawId,
+    law: ExploredLaw,
     messages: &[ScenarioMessage],
     title: &str,
     plate_prefix: &str,

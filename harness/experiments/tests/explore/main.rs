@@ -8,6 +8,7 @@ mod false_alarms;
 mod fixtures;
 mod generation;
 mod guidance;
+mod own_laws;
 mod relations;
 mod sensor_column;
 mod sequences;
