@@ -39,7 +39,7 @@ const NO_GAINS: Gains = Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_
 
 fn to_step(value: &mut f32, step: f32) {
     if step > 0.0 && value.is_finite() {
-        *value = (*value / step).round() * step;
+        *value = (*value / step).floor() * step;
     }
 }
 
