@@ -109,11 +109,15 @@ impl<'a> ControllerLog<'a> {
         let unrequested = if is_planned { 0 } else { session.unrequested_confirmations() };
         self.checks.set_count(ViolationKind::UnrequestedSafe, unrequested, now);
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
+        let loses_bytes = session.link().kind().loses_bytes();
+        if self.scenario.faults.is_empty() && self.scenario.chip_faults.is_empty() && !loses_bytes {
+            self.checks.set_count(ViolationKind::UnrequestedMessage, session.unrequested_messages(), now);
+        }
         let rejected = session.rejected_frames();
         if rejected > 0 && self.scenario.faults.is_empty() {
             warn!(scenario = self.scenario.file, frames = rejected, "frames from the controller rejected");
             // Noise on a line may damage a frame, and a reset of the chip may cut one.
-            if !session.link().kind().loses_bytes() && self.scenario.chip_faults.is_empty() {
+            if !loses_bytes && self.scenario.chip_faults.is_empty() {
                 self.checks.set_count(ViolationKind::RejectedFrame, rejected, now);
                 self.checks.set_frame_lengths(session.first_rejected_frame());
             }

@@ -102,6 +102,9 @@ impl<'a, L: RecordingLink> Player<'a, L> {
         scenario: &Scenario,
         branches: &BTreeSet<u32>,
     ) -> Result<Option<SceneResult>, ExploreError> {
+        if scenario.needs_new_controller() {
+            self.renew();
+        }
         if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();
             self.controllers += 1;

@@ -21,7 +21,7 @@ use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{OWN_LAW, Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, RigError, RigSpec, Session};
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigError, RigSpec, Session};
 #[cfg(feature = "firmware-analysis")]
 use platebench_rig::{Capability, ConnectError, EmulatedLink};
 use platebench_wire::{Identity, LawId, Message, Packet, capabilities};
@@ -102,8 +102,11 @@ impl ExploreSession {
             ConnectOptions { reply_timeout: self.reply_timeout, cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
-        let (identity, exchange_time) = identify(&connect, &ends, cancel)?;
+        let (identity, exchange_time, kind) = identify(&connect, &ends, cancel)?;
         let mut config = self.config(&identity, exchange_time)?;
+        if let Some(sequences) = &mut config.sequences {
+            sequences.starts_controllers = !kind.loses_bytes();
+        }
         if config.law.is_own() {
             let measured = measure_own_law(&config.envelope, &connect, config.own_clock, cancel, &ends)?;
             config.law = ExploredLaw::Own(measured.ok_or(ExploreError::Cancelled)?);
@@ -373,12 +376,12 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     reduced
 }
 
-/// Returns the identity and the mean time of an exchange.
+/// Returns the identity, the mean time of an exchange and the kind of the link.
 fn identify(
     connect: &LinkFactory<'_>,
     ends: &SafeEnds,
     cancel: &CancelToken,
-) -> Result<(Identity, Duration), ExploreError> {
+) -> Result<(Identity, Duration, LinkKind), ExploreError> {
     let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
     let identity = *session.identity();
     let hello = Packet { sequence: 0, message: Message::Hello }.encode();
@@ -388,8 +391,9 @@ fn identify(
         link.exchange(Duration::ZERO, hello.as_bytes(), &mut Vec::new()).map_err(RigError::Link)?;
     }
     let exchange_time = started.elapsed() / MEASURED_EXCHANGES;
+    let kind = session.link().kind();
     ends.record(session.close());
-    Ok((identity, exchange_time))
+    Ok((identity, exchange_time, kind))
 }
 
 /// The first sequences with different differences, at most three.
@@ -461,7 +465,7 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let (identity, _) =
+        let (identity, ..) =
             identify(&|| RigSpec::hosted().connect(), &SafeEnds::default(), &CancelToken::never()).unwrap();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };

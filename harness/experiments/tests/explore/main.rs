@@ -12,4 +12,5 @@ mod own_laws;
 mod relations;
 mod sensor_column;
 mod sequences;
+mod surviving_faults;
 mod ways_of_playing;
