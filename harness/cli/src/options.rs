@@ -70,6 +70,14 @@ pub(crate) fn bench_law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(LawId::ALL.map(LawId::name))
 }
 
+pub(crate) fn parse_reply_timeout(text: &str) -> Result<Duration, String> {
+    let ms: u32 = text.parse().unwrap_or(0);
+    (1..=60_000)
+        .contains(&ms)
+        .then(|| Duration::from_millis(ms.into()))
+        .ok_or_else(|| "expected 1 to 60000 ms".to_owned())
+}
+
 /// Laws of the bench, and `own`.
 pub(crate) fn law_names() -> PossibleValuesParser {
     PossibleValuesParser::new(platebench_engine::law_names())

@@ -3,7 +3,7 @@
 use crate::trial::{self, chip_fault_plan};
 use platebench_model::scenario::{Diagnostic, Metric, OWN_LAW, Scenario};
 use platebench_plate::Time;
-use platebench_rig::{ChipFaultError, FaultInjector, Link, Session, is_defined_law};
+use platebench_rig::{ChipFaultError, FaultInjector, Link, LinkKind, Session, is_defined_law};
 use platebench_wire::{Identity, LawId, capabilities};
 
 /// Returns why the scenario is not applicable; `None` if the controller can play it with `law`. Fails
@@ -20,12 +20,19 @@ pub fn why_not_applicable<L: Link>(
     let is_compared = scenario.expects(Metric::ReferenceDifference) || scenario.expects(Metric::ProtocolDifferences);
     Ok((is_compared && !is_lockstep)
         .then(|| "the metrics that compare the controller with the reference need the clock lockstep".to_owned())
+        .or_else(|| missing_new_controller(scenario, session.link().kind()))
         .or(missing_chip_faults(scenario, is_lockstep, session)?)
         .or_else(|| missing_chip(scenario, is_lockstep, session))
         .or_else(|| only_describes_bench_law(scenario))
         .or_else(|| undefined_commands(scenario, law))
         .or_else(|| missing_capability(scenario, law, &identity))
         .or_else(|| others.find_map(|(scene, law)| missing_capability(scene, law, &identity))))
+}
+
+/// Returns why the rig cannot start a new controller, if the scenario needs one.
+fn missing_new_controller(scenario: &Scenario, kind: LinkKind) -> Option<String> {
+    (scenario.needs_new_controller() && kind.loses_bytes())
+        .then(|| "messages before the first configuration need a rig that can start a new controller".to_owned())
 }
 
 /// Returns why the rig cannot apply the chip faults. Fails if the firmware lacks a fault's target.

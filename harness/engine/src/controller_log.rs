@@ -109,11 +109,15 @@ impl<'a> ControllerLog<'a> {
         let unrequested = if is_planned { 0 } else { session.unrequested_confirmations() };
         self.checks.set_count(ViolationKind::UnrequestedSafe, unrequested, now);
         self.checks.set_count(ViolationKind::IgnoredSafe, session.ignored_safe_requests(), now);
+        let loses_bytes = session.link().kind().loses_bytes();
+        if self.scenario.faults.is_empty() && self.scenario.chip_faults.is_empty() && !loses_bytes {
+            self.checks.set_count(ViolationKind::UnrequestedMessage, session.unrequested_messages(), now);
+        }
         let rejected = session.rejected_frames();
         if rejected > 0 && self.scenario.faults.is_empty() {
             warn!(scenario = self.scenario.file, frames = rejected, "frames from the controller rejected");
             // Noise on a line may damage a frame, and a reset of the chip may cut one.
-            if !session.link().kind().loses_bytes() && self.scenario.chip_faults.is_empty() {
+            if !loses_bytes && self.scenario.chip_faults.is_empty() {
                 self.checks.set_count(ViolationKind::RejectedFrame, rejected, now);
                 self.checks.set_frame_lengths(session.first_rejected_frame());
             }
@@ -141,8 +145,9 @@ impl<'a> ControllerLog<'a> {
         let own_law = self.scenario.has_own_law();
         let options = CheckOptions { own_clock, seed, messages, compares_numbers, own_law, long_scripts, cancel };
         let check = check_protocol(link, &identity, base, options)?;
-        for difference in &check.differences {
-            warn!(scenario = self.scenario.file, "protocol: {difference}");
+        for (difference, count) in distinct_differences(&check.differences) {
+            let more = if count > 1 { format!(" (the same in {} more scripts)", count - 1) } else { String::new() };
+            warn!(scenario = self.scenario.file, "protocol: {difference}{more}");
         }
         self.protocol_check = Some(check);
         Ok(())
@@ -198,6 +203,23 @@ impl<'a> ControllerLog<'a> {
             ..Telemetry::default()
         }
     }
+}
+
+/// The first of the differences that are equal without the numbers of their exchanges, and how many
+/// there are.
+fn distinct_differences(differences: &[String]) -> Vec<(&str, usize)> {
+    let kind = |text: &str| {
+        text.split_once(": exchange ")
+            .and_then(|(script, rest)| rest.split_once(": ").map(|(_, rest)| format!("{script}{rest}")))
+    };
+    let mut distinct: Vec<(&str, usize)> = Vec::new();
+    for difference in differences {
+        match distinct.iter_mut().find(|(known, _)| kind(known).is_some() && kind(known) == kind(difference)) {
+            Some((_, count)) => *count += 1,
+            None => distinct.push((difference, 1)),
+        }
+    }
+    distinct
 }
 
 /// The executor reports a configuration that the hosted reference refuses too as an invalid input.
@@ -400,6 +422,13 @@ mod tests {
     }
 
     /// Commands: drive in Vpp, offset from the start frequency in mHz, samples since the last one.
+    #[test]
+    fn equal_differences_are_one_warning() {
+        let all = ["a: exchange 3: x", "a: exchange 4: x", "a: exchange 3: y", "b: exchange 3: x"].map(str::to_owned);
+        let expected = [("a: exchange 3: x", 2), ("a: exchange 3: y", 1), ("b: exchange 3: x", 1)];
+        assert_eq!(distinct_differences(&all), expected);
+    }
+
     #[rstest]
     #[case::within_limits(&[(0.0, 0, 1), (900.0, 100_004, 1), (900.0, 0, 1)], &[])]
     #[case::above_limit(&[(900.1, 0, 1), (1e30, 0, 1)], &[(ViolationKind::DriveAboveLimit, 2)])]

@@ -251,13 +251,14 @@ impl<'a, L: Link> Executor<'a, L> {
         Err(RunError::DifferentController { found: controller_name(&found), expected: controller_name(expected) })
     }
 
-    /// Closes the session if the trial needs another one: for a controller without a history, or
-    /// after the end of a program that had confirmed 0 V.
+    /// Closes the session if the trial needs another one: for a controller without a history or a
+    /// configuration, or after the end of a program that had confirmed 0 V.
     fn close_unusable_session(&mut self, scenario: &Scenario, index: u32, keeps_controller: bool) {
         let Some(session) = &self.session else { return };
         let is_kept = self.settings.shares_controller || self.settings.keeps_link || self.settings.keeps_session;
         let needs_new = !scenario.between.is_empty() && index == 0 && !is_kept;
-        if needs_new || (session.has_ended() && !keeps_controller) {
+        let needs_first = scenario.needs_new_controller() && !self.settings.keeps_link;
+        if needs_new || needs_first || (session.has_ended() && !keeps_controller) {
             self.close();
         }
     }

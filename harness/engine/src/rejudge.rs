@@ -7,7 +7,7 @@ use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
     sha256, sha256_of_file,
 };
-use platebench_model::scenario::{Diagnostic, MAX_TRIALS, Scenario, Variation, load, load_copies};
+use platebench_model::scenario::{Diagnostic, MAX_TRIALS, OWN_LAW, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
 use platebench_plate::Model;
 use platebench_verdict::{SequentialDecision, TrialMeasures, judge_at_time_limit, judge_sequentially, trial_record};
@@ -80,6 +80,9 @@ pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, 
             }
         }
         apply_overrides(overrides, &mut scenario);
+        if stored.law == OWN_LAW {
+            scenario.set_law(OWN_LAW);
+        }
         scenario.model = model;
         scenarios.push(rejudge_scenario(folder, &scenario, stored, record.complete)?);
     }

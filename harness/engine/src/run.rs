@@ -150,11 +150,11 @@ fn protocol_law(scenario: &Scenario, law: LawId, identity: &Identity) -> LawId {
     if is_played { law } else { first.unwrap_or(LawId::OpenLoop) }
 }
 
-/// A controller that announces no law has one of its own, unless `--law` requests another one.
+/// A controller that announces no law has one of its own, unless `--law` requests another one. That
+/// is no override: the law in the record of each scenario states it.
 fn with_own_law_if_unnumbered(plan: &RunPlan, identity: &Identity) -> RunPlan {
     let mut plan = plan.clone();
     if identity.laws == 0 && plan.overrides.law.is_none() {
-        plan.overrides.law = Some(OWN_LAW.to_owned());
         plan.scenarios.iter_mut().for_each(|scenario| scenario.set_law(OWN_LAW));
     }
     plan

@@ -192,7 +192,7 @@ mod tests {
             },
             cause: None,
             reason: None,
-            sign_symptom: None,
+            symptom: None,
             diverged_at_s: None,
             wall_ms: None,
         };

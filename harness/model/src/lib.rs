@@ -27,8 +27,8 @@ pub mod record {
     pub use assessment::{Assessment, NotPlayed, RunOutcome, ScenarioAssessment, combine_runs};
     pub use journal::TrialJournal;
     pub use reason::{
-        Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, MetricDefinition, Reason,
-        SignSymptom, Statistic, StoppedTrial, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
+        Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, LoopSymptom, MetricDefinition,
+        Reason, Statistic, StoppedTrial, TrialFinding, TrialReason, WideBoundsCause, WorstInstant, percent,
     };
     pub use run_folder::{
         CAMPAIGN_PLAN_FILE, FileLock, FolderError, JOURNAL_FILE, RECORD_FILE, RecordError, RunFolder, RunSummary,

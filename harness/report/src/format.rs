@@ -4,7 +4,7 @@ use crate::record_queries::{CauseGroup, NotApplicableGroup};
 use platebench_model::metrics::Unit;
 use platebench_model::quoted;
 use platebench_model::record::{
-    ExpectationRecord, Limit, Metric, NotApplicable, Reason, RigRecord, RunRecord, ScenarioRecord, SignSymptom,
+    ExpectationRecord, Limit, LoopSymptom, Metric, NotApplicable, Reason, RigRecord, RunRecord, ScenarioRecord,
     Statistic, TrialFinding, Verdict,
 };
 use platebench_verdict::tube::{Exceedance, TubeSignal};
@@ -141,13 +141,13 @@ pub(crate) fn overrides(record: &RunRecord) -> Option<String> {
 }
 
 /// A plate at rest keeps every limit on overshoot and drive, so the number of passes is stated too.
-pub(crate) fn sign_symptom(scenario: &ScenarioRecord, trial: u32, symptom: SignSymptom) -> String {
+pub(crate) fn symptom(scenario: &ScenarioRecord, trial: u32, symptom: LoopSymptom) -> String {
     let passed = scenario.expectations.iter().filter(|found| found.verdict == Verdict::Pass).count();
     let doubt = match symptom {
-        SignSymptom::NoDrive if passed > 0 => {
+        LoopSymptom::NoDrive if passed > 0 => {
             format!(" The plate was at rest, so this proves nothing: {}.", count(passed, "passed expectation"))
         }
-        SignSymptom::NoDrive | SignSymptom::FrequencyAtLimit => String::new(),
+        _ => String::new(),
     };
     format!("trial {trial}: {symptom}{doubt}")
 }

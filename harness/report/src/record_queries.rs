@@ -2,8 +2,8 @@
 
 use platebench_model::quoted;
 use platebench_model::record::{
-    Assessment, Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, Metric, MissingShard, MissingValue,
-    NotApplicable, NotPlayed, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord,
+    Assessment, Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, LoopSymptom, Metric, MissingShard,
+    MissingValue, NotApplicable, NotPlayed, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord,
     Verdict, ViolationKind,
 };
 use std::mem::{Discriminant, discriminant};
@@ -241,12 +241,18 @@ pub(crate) fn tight_steps(record: &RunRecord) -> Vec<(&ScenarioRecord, f64)> {
     tight
 }
 
-/// The first trial of each scenario whose trace shows a loop with a wrong sign.
-pub(crate) fn sign_symptoms(record: &RunRecord) -> impl Iterator<Item = (&ScenarioRecord, u32, SignSymptom)> {
+/// The first trial of each scenario whose trace shows a likely cause.
+pub(crate) fn symptoms(record: &RunRecord) -> impl Iterator<Item = (&ScenarioRecord, u32, LoopSymptom)> {
     record.scenarios.iter().filter_map(|scenario| {
-        let (trial, symptom) = scenario.trials.iter().find_map(|trial| Some((trial.index, trial.sign_symptom?)))?;
+        let (trial, symptom) = symptom_of(scenario)?;
         Some((scenario, trial, symptom))
     })
+}
+
+/// The first trial with a symptom. A scenario that passed needs no explanation.
+pub(crate) fn symptom_of(scenario: &ScenarioRecord) -> Option<(u32, LoopSymptom)> {
+    let is_shown = |symptom: &LoopSymptom| scenario.verdict != Verdict::Pass || !symptom.explains_failures_only();
+    scenario.trials.iter().find_map(|trial| Some((trial.index, trial.symptom.filter(is_shown)?)))
 }
 
 /// Names the scripts of the protocol check that some trial did not play. `None` if all were played.
@@ -404,7 +410,7 @@ mod tests {
                 reason: None,
                 sha256: None,
                 telemetry: Telemetry::default(),
-                sign_symptom: None,
+                symptom: None,
                 diverged_at_s: None,
                 wall_ms: None,
             }

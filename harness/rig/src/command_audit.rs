@@ -1,5 +1,6 @@
 //! Counts replies that break the protocol.
 
+use crate::handshake::HELLO_NUMBER;
 use platebench_wire::{Command, Configured, ControllerState, Message, Packet};
 
 /// Commands with a drive after the controller confirmed 0 V.
@@ -50,6 +51,12 @@ pub(crate) struct CommandAudit {
     pub(crate) wrong_sequences: u64,
     pub(crate) ignored_safe_requests: u64,
     pub(crate) unrequested_confirmations: u64,
+    /// Messages that no request caused and that the controller must not send of its own.
+    pub(crate) unrequested_messages: u64,
+    /// True from an accepted configuration without ticks and telemetry to the next configuration.
+    is_silent: bool,
+    /// True if the last configuration allows ticks or telemetry.
+    allows_reports: bool,
 }
 
 impl CommandAudit {
@@ -64,13 +71,17 @@ impl CommandAudit {
             wrong_sequences: 0,
             ignored_safe_requests: 0,
             unrequested_confirmations: 0,
+            unrequested_messages: 0,
+            is_silent: false,
+            allows_reports: false,
         }
     }
 
     /// Starts the counts of a trial. Keeps the drives after 0 V that no earlier trial has reported.
     pub(crate) fn reset(&mut self) {
-        let Self { exchanges, safe_requested, is_safe, drives_after_safe, .. } = *self;
-        *self = Self { exchanges, safe_requested, is_safe, drives_after_safe, ..Self::new() };
+        let Self { exchanges, safe_requested, is_safe, drives_after_safe, is_silent, allows_reports, .. } = *self;
+        *self =
+            Self { exchanges, safe_requested, is_safe, drives_after_safe, is_silent, allows_reports, ..Self::new() };
     }
 
     /// Forgets the messages to a target that was restarted.
@@ -92,8 +103,11 @@ impl CommandAudit {
         };
         match request {
             Request::Safe => self.safe_requested = true,
-            Request::Configuration => self.safe_requested = false,
+            Request::Configuration => (self.safe_requested, self.is_silent) = (false, false),
             _ => {}
+        }
+        if let Message::Configure(configure) = message {
+            self.allows_reports = configure.paced_by_target || configure.drives_own_plate;
         }
         if let Some(exchange) = self.exchanges.get_mut(usize::from(sequence)) {
             *exchange = Exchange { request, ..Exchange::default() };
@@ -114,19 +128,46 @@ impl CommandAudit {
             Message::Command(command) => {
                 self.check_drive(command.drive_vpp);
                 self.record_command(last_sent, packet.sequence, command);
+                self.unrequested_messages += u64::from(self.is_unrequested_idle(packet.sequence, command));
             }
-            Message::Telemetry(telemetry) => self.check_drive(telemetry.drive_vpp),
+            Message::Telemetry(telemetry) => {
+                self.check_drive(telemetry.drive_vpp);
+                self.unrequested_messages += u64::from(self.is_silent);
+            }
+            Message::Tick(_) => self.unrequested_messages += u64::from(self.is_silent),
+            Message::Identity(_) => {
+                // A late answer to a hello of the handshake.
+                let is_requested = packet.sequence == HELLO_NUMBER || self.request(packet.sequence) == Request::Other;
+                self.unrequested_messages += u64::from(!is_requested);
+            }
             Message::Configured(Configured { outcome }) => {
                 let exchange = self.exchanges.get_mut(usize::from(packet.sequence));
                 let Some(exchange) = exchange.filter(|exchange| exchange.request == Request::Configuration) else {
+                    self.unrequested_messages += 1;
                     return;
                 };
                 self.second_replies += u64::from(exchange.is_configured);
                 exchange.is_configured = true;
                 self.is_safe &= outcome.is_err();
+                self.is_silent = !self.allows_reports;
             }
-            _ => {}
+            // Only the bench sends them.
+            Message::Hello | Message::Configure(_) | Message::Sample(_) | Message::Safe | Message::Setpoint(_) => {
+                self.unrequested_messages += 1;
+            }
+            Message::Fault(_) => {}
         }
+    }
+
+    fn request(&self, sequence: u8) -> Request {
+        self.exchanges.get(usize::from(sequence)).map_or(Request::None, |exchange| exchange.request)
+    }
+
+    /// True for a command without a control step that answers no message. Other wrong commands have
+    /// their own counts.
+    fn is_unrequested_idle(&self, sequence: u8, command: &Command) -> bool {
+        let answers = matches!(self.request(sequence), Request::Sample | Request::Safe);
+        command.state == ControllerState::Idle && !answers
     }
 
     /// True for an identity or an answer to a configuration that the bench did not send. Wrong numbers

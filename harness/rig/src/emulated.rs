@@ -30,6 +30,7 @@ use crate::debug_port::DebugPort;
 use crate::factory::BUILT_IN_IMAGE;
 use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, TargetError};
 use crate::port::{PendingRequests, Request};
+use crate::rejected_frame::rejected_answer;
 use board::ReceivedByte;
 use bus::PinLog;
 use chip_faults::ChipFaults;
@@ -344,8 +345,11 @@ impl EmulatedLink {
             None if !asks || self.chip_faults.is_active() => Ok(Duration::ZERO),
             None => {
                 let waited_us = (self.target.now_ns() - arrived_ns) / 1_000;
-                let silent = TargetError::Silent { waited_us, place: self.target.code_location() };
-                Err(self.target.trap(StoppedAt::Body).unwrap_or(silent))
+                let answer = self.received.iter().filter(|received| received.at_ns > start_ns);
+                let answer: Vec<u8> = answer.map(|received| received.byte).collect();
+                let silent = || TargetError::Silent { waited_us, place: self.target.code_location() };
+                let unanswered = rejected_answer(bytes, &answer).map_or_else(silent, TargetError::RejectedAnswer);
+                Err(self.target.trap(StoppedAt::Body).unwrap_or(unanswered))
             }
         }
     }

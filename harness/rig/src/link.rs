@@ -2,6 +2,7 @@
 //! and planned faults of a target.
 
 use crate::crash_report::CrashReport;
+use crate::rejected_frame::RejectedFrame;
 use crate::symbols::CodeLocation;
 use platebench_model::metrics::EnablePin;
 use platebench_model::record::Transport;
@@ -246,6 +247,8 @@ pub enum TargetError {
     Unsupported(UnsupportedAccess),
     #[error("the firmware did not answer within {waited_us} µs after the message arrived; the processor is at {place}")]
     Silent { waited_us: u64, place: CodeLocation },
+    #[error("{0}: {bodies}", bodies = .0.bodies())]
+    RejectedAnswer(RejectedFrame),
     #[error(
         "the firmware did not answer the handshake on USART2 (PA2, PA3) within {waited_ms} ms after power-on; \
          it uses {}, and the processor is at {place}",

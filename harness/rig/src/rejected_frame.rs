@@ -1,5 +1,7 @@
 //! Measures the frames of a controller, to name the length of one that was rejected.
 
+#[cfg(feature = "emulated")]
+use platebench_wire::PacketReader;
 use platebench_wire::{MAX_BODY, MAX_ENCODED, Message};
 use std::fmt;
 
@@ -16,6 +18,14 @@ pub struct RejectedFrame {
     pub bytes: usize,
     /// Length of the answer to the last request.
     pub expected: usize,
+}
+
+impl RejectedFrame {
+    /// Lengths without CRC, COBS byte and delimiter, as in docs/wire-protocol.md.
+    pub(crate) fn bodies(&self) -> String {
+        let [own, expected] = [self.bytes, self.expected].map(|bytes| bytes.saturating_sub(OVERHEAD));
+        format!("a body of {own} instead of {expected} bytes")
+    }
 }
 
 impl fmt::Display for RejectedFrame {
@@ -66,6 +76,21 @@ impl FrameMeter {
     }
 }
 
+/// The first rejected frame of an answer. `request` is the frame that it answers.
+#[cfg(feature = "emulated")]
+pub(crate) fn rejected_answer(request: &[u8], answer: &[u8]) -> Option<RejectedFrame> {
+    let mut meter = FrameMeter::default();
+    meter.record_request(&PacketReader::new().packets(request).flatten().last()?.message);
+    let mut reader = PacketReader::new();
+    for byte in answer {
+        meter.record_part(std::slice::from_ref(byte));
+        if let Some(frame) = reader.push(*byte) {
+            meter.end_frame(frame.is_err());
+        }
+    }
+    meter.first()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -97,5 +122,17 @@ mod tests {
         meter.record_part(&[0, 1, 0]);
         meter.end_frame(true);
         assert_eq!(meter.first(), Some(RejectedFrame { bytes: 3, expected: 24 }));
+    }
+
+    #[cfg(feature = "emulated")]
+    #[test]
+    fn names_the_length_of_a_rejected_answer() {
+        let frame = |message| Packet { sequence: 1, message }.encode().as_bytes().to_vec();
+        let hello = frame(Message::Hello);
+        assert_eq!(rejected_answer(&hello, &[]), None);
+        assert_eq!(rejected_answer(&hello, &frame(Message::Safe)), None);
+        let answer = [0, 4, 1, 2, 3, 0];
+        let rejected = rejected_answer(&hello, &answer).unwrap();
+        assert_eq!(rejected, RejectedFrame { bytes: 5, expected: IDENTITY + OVERHEAD });
     }
 }

@@ -464,6 +464,12 @@ impl<L: Link> Session<L> {
         self.audit.unrequested_confirmations
     }
 
+    /// Number of messages that no request caused, besides reports of a stop and the ticks and telemetry
+    /// that the configuration allows.
+    pub fn unrequested_messages(&self) -> u64 {
+        self.audit.unrequested_messages
+    }
+
     /// Numbers wrap, so the audit forgets the answer to the earlier message with this number.
     fn next_sequence(&mut self, message: &Message) -> u8 {
         self.sequence = self.sequence.wrapping_add(1);

@@ -1,4 +1,4 @@
-//! Detects a loop that does not converge, or acts in the wrong direction (`docs/verdicts.md`). A
+//! Detects a loop that does not converge (`docs/verdicts.md`). A
 //! divergence explains a failure and never causes one.
 //!
 //! Drive and frequency slew are limited, so an unstable loop keeps oscillating but does not grow
@@ -6,7 +6,7 @@
 //! leaving the band around the setpoint to both sides and this swing does not decay. A trace cannot
 //! contain a NaN or infinite drive command; the rig reports it.
 
-use platebench_model::record::{Divergence, SignSymptom, Telemetry};
+use platebench_model::record::{Divergence, Telemetry};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::Time;
@@ -30,29 +30,6 @@ const LIMIT_SHARE: f64 = 1.0 - 1e-6;
 pub(crate) fn detect_divergence(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<Divergence> {
     let commanded = telemetry.not_finite.map(|drive| Divergence { at_s: drive.at_s, is_non_finite: true });
     commanded.or_else(|| divergence_time_s(scenario, rows).map(|at_s| Divergence { at_s, is_non_finite: false }))
-}
-
-/// Distance to the limit of the frequency that counts as at the limit. The wire rounds to 1 mHz.
-const AT_LIMIT_HZ: f64 = 5e-3;
-
-/// A wrong sign of the amplitude loop keeps the drive at its lower limit, 0 V. A wrong sign of the
-/// frequency loop moves the frequency away from the resonance until its limit.
-pub(crate) fn detect_wrong_sign(scenario: &Scenario, rows: &[Row]) -> Option<SignSymptom> {
-    let controller = &scenario.controller;
-    let runs = |row: &&Row| !row.flags.intersects(Flags::SAFE | Flags::LINK_LOST);
-    let driven = || rows.iter().filter(runs).filter(|row| row.setpoint_um > 0.0);
-    let control_instants = || driven().filter(|row| row.flags.contains(Flags::CONTROL)).count();
-    if driven().all(|row| row.drive_vpp == 0.0) && control_instants() as f64 >= MIN_PERIODS {
-        return Some(SignSymptom::NoDrive);
-    }
-    let last = rows.last().filter(runs)?;
-    let is_at_limit =
-        (last.frequency_hz - controller.start_frequency_hz).abs() >= controller.frequency_range_hz - AT_LIMIT_HZ;
-    let distance = |frequency_hz: f64| (frequency_hz - last.resonance_hz).abs();
-    // A resonance outside the range leaves a correct loop at the limit too, but nearer to it.
-    let is_away =
-        distance(last.frequency_hz) > distance(controller.start_frequency_hz) + 0.5 * controller.frequency_range_hz;
-    (is_at_limit && is_away).then_some(SignSymptom::FrequencyAtLimit)
 }
 
 /// Instant at which the loop left the band for good. `None` if it converges or the trace is short.
@@ -143,7 +120,7 @@ fn standard_deviation(rows: &[Row], signal: &dyn Fn(&Row) -> f64) -> f64 {
     if length > 0.0 { (squares / length - (area / length).powi(2)).max(0.0).sqrt() } else { 0.0 }
 }
 
-fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
+pub(crate) fn switches_between_limits(rows: &[Row], limit: f64) -> bool {
     let mut at_limit = None;
     let mut changes = 0;
     for row in rows {

@@ -14,6 +14,7 @@ pub mod metrics;
 mod peaks;
 pub mod replay;
 pub mod statistics;
+mod symptoms;
 mod trial;
 pub mod tube;
 pub mod uncertainty;

@@ -1,11 +1,12 @@
 //! Measures one trial and decides whether it counts.
 
-use crate::divergence::{detect_divergence, detect_wrong_sign};
+use crate::divergence::detect_divergence;
 use crate::exclusion::{find_exclusion, find_real_plate_exclusion, saturation_excuse};
 use crate::feasibility::{infeasibility_excuse, may_be_limited};
 use crate::metrics::{Measure, measure_with_instants};
+use crate::symptoms::detect_symptom;
 use platebench_model::record::{
-    Cause, Divergence, Exclusion, Excuse, MetricValues, SignSymptom, Telemetry, TrialReason, TrialRecord, Violation,
+    Cause, Divergence, Exclusion, Excuse, LoopSymptom, MetricValues, Telemetry, TrialReason, TrialRecord, Violation,
     WorstInstant,
 };
 use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
@@ -29,7 +30,7 @@ pub struct TrialMeasures {
     pub violations: Vec<Violation>,
     /// Explains a failure and never causes one.
     pub divergence: Option<Divergence>,
-    pub sign_symptom: Option<SignSymptom>,
+    pub symptom: Option<LoopSymptom>,
     pub exclusion: Option<Exclusion>,
     /// True for a real plate, whose motion only the controller's own sensor measures.
     pub is_real_plate: bool,
@@ -65,7 +66,7 @@ pub fn measure(scenario: &Scenario, index: u32, rows: &[Row], telemetry: &Teleme
         stopped: telemetry.stopped.clone(),
         violations: violations(scenario, telemetry),
         divergence: detect_divergence(scenario, rows, telemetry),
-        sign_symptom: detect_wrong_sign(scenario, rows),
+        symptom: detect_symptom(scenario, rows, telemetry),
         exclusion: if failed {
             None
         } else if is_real_plate {
@@ -145,7 +146,7 @@ pub fn trial_record(
         cause: trial.exclusion.as_ref().filter(|_| violation.is_none()).map(Exclusion::cause),
         reason: violation.or(excluded).or_else(ended).or_else(diverged),
         diverged_at_s: trial.divergence.map(|divergence| divergence.at_s),
-        sign_symptom: trial.sign_symptom,
+        symptom: trial.symptom,
         wall_ms,
     }
 }

@@ -1,5 +1,6 @@
 use crate::test_folder::{run_bench, start_bench, wait_until, workspace_root};
 use platebench_test_kit::python_with_pyserial;
+use rstest::rstest;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -123,4 +124,50 @@ fn an_interrupt_ends_an_exploration() {
     if folder.path().join("out").exists() {
         assert_eq!(report(folder.path())["is_interrupted"], true);
     }
+}
+
+/// The example with a law of its own, and with `changes`, pairs of old and new text.
+fn own_law(folder: &Path, changes: &[(&str, &str)]) -> Option<String> {
+    let python = python_with_pyserial()?;
+    let mut text = fs::read_to_string(workspace_root().join("docs/examples/controller.py")).unwrap();
+    let state = "        self.law, self.number, self.noise = None, None, 0\n";
+    let number = [state, "        law = DQ_PI_FIXED if law <= 8 else law\n"].concat();
+    let identity = ("laws = 1 << DQ_PI | 1 << DQ_PI_FIXED", "laws = 0");
+    for (old, new) in [(state, &*number), identity].iter().chain(changes) {
+        assert!(text.contains(old), "{old}");
+        text = text.replace(old, new);
+    }
+    fs::write(folder.join("own.py"), text).unwrap();
+    Some(format!("exec:{python} own.py {{port}}"))
+}
+
+/// Outside of the project, so the envelope is the built-in one.
+#[rstest]
+#[case::correct("self.law.step(setpoint, wd, wq)", "", 0)]
+#[case::wrong_level("self.law.step(setpoint * (1.03 if setpoint > 1.5 else 1.0), wd, wq)", "static-error", 1)]
+#[case::drives_at_rest("self.law.step(setpoint or 0.2, wd, wq)", "rest-drive", 1)]
+fn an_own_law_is_explored_by_default(#[case] step: &str, #[case] property: &str, #[case] exit: i32) {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(rig) = own_law(folder.path(), &[("self.law.step(setpoint, wd, wq)", step)]) else { return };
+    let arguments = ["suite", "explore", "--rig", &rig, "--scenes", "14", "--reply-timeout", "2000", "--out", "out"];
+    let output = run_bench(folder.path(), arguments).assert_exit(exit);
+    let report = report(folder.path());
+    assert_eq!(report["law"], "own");
+    assert!(report["own_law"]["settling_us"].as_u64() > Some(0), "{report}");
+    assert_eq!(report["envelope"], "the built-in envelope");
+    let violations = report["violations"].as_array().unwrap();
+    assert_eq!(violations.is_empty(), exit == 0, "{}", output.text());
+    if exit == 1 {
+        let violation = violations.iter().find(|violation| violation["property"] == property).unwrap();
+        let file = violation["file"].as_str().unwrap();
+        run_bench(folder.path(), ["run", file, "--rig", &rig, "--out", "again"]).assert_exit(1);
+    }
+}
+
+#[test]
+fn a_law_that_is_not_announced_names_the_options() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(rig) = own_law(folder.path(), &[]) else { return };
+    let arguments = ["suite", "explore", "--rig", &rig, "--scenes", "1", "--law", "pll"];
+    run_bench(folder.path(), arguments).assert_exit(2).assert_stderr(&["the law pll, expected --law own"]);
 }

@@ -5,7 +5,7 @@ use crate::board::{BoardArgs, release};
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{
     BASELINES, ClockArg, ClockRequest, OutputFormat, PacingArg, PlateModeArg, SCENARIOS, check_line_speed, job_count,
-    law_help, law_names, parse_keep_traces, parse_time_scale, parse_timeout, rig_help,
+    law_help, law_names, parse_keep_traces, parse_reply_timeout, parse_time_scale, parse_timeout, rig_help,
 };
 use crate::outputs::{Outputs, RESULTS, ScenarioLocations};
 use crate::prompt::TerminalOperator;
@@ -201,14 +201,6 @@ impl RunArgs {
             selection,
         }
     }
-}
-
-fn parse_reply_timeout(text: &str) -> Result<Duration, String> {
-    let ms: u32 = text.parse().unwrap_or(0);
-    (1..=60_000)
-        .contains(&ms)
-        .then(|| Duration::from_millis(ms.into()))
-        .ok_or_else(|| "expected 1 to 60000 ms".to_owned())
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

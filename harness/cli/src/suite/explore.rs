@@ -2,7 +2,7 @@
 //! the controller.
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{OutputFormat, bench_law_names, job_count, rig_help};
+use crate::options::{OutputFormat, job_count, law_names, parse_reply_timeout, rig_help};
 use crate::selection::note_skipped;
 use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
 use crate::stdio;
@@ -14,11 +14,10 @@ use platebench_model::record::{RunFolder, Verdict};
 use platebench_model::scenario::find;
 use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
-use platebench_wire::LawId;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-const DEFAULT_LAW: LawId = LawId::DqPi;
+const DEFAULT_ENVELOPE: &str = "scenarios/envelope.toml";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -31,13 +30,12 @@ Examples:
 Exit codes: 0 no property was violated, 1 a property was violated, 2 invalid input, 3 the rig left scenes undecided,
 4 no scene was played, 5 the rig could not be reached or was lost")]
 pub(super) struct ExploreArgs {
-    /// The operating envelope
-    #[arg(default_value = "scenarios/envelope.toml")]
-    envelope: PathBuf,
+    /// The operating envelope; default: scenarios/envelope.toml, or the same built in if there is no such file
+    envelope: Option<PathBuf>,
     #[arg(long, help = rig_help(), default_value = "emulated")]
     rig: RigSpec,
-    /// Control law of the firmware under test; default: dq-pi
-    #[arg(long, value_name = "NAME", value_parser = bench_law_names())]
+    /// Control law of the firmware under test; default: dq-pi, or own if the controller announces no law
+    #[arg(long, value_name = "NAME", value_parser = law_names())]
     law: Option<String>,
     /// Duration: 30s, 10m, 8h; default: 60s
     #[arg(long = "for", value_name = "DURATION", conflicts_with = "scenes", value_parser = parse_duration)]
@@ -45,6 +43,9 @@ pub(super) struct ExploreArgs {
     /// Number of scenes
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     scenes: Option<u64>,
+    /// Time to wait for a reply over a line before it counts as missed, ms
+    #[arg(long, value_name = "MS", default_value = "500", value_parser = parse_reply_timeout)]
+    reply_timeout: Duration,
     /// Seed; the scenes depend on it, on the envelope and on what earlier rounds of 64 reached
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
@@ -109,7 +110,11 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
 }
 
 fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Failure> {
-    let envelope = Envelope::load(&arguments.envelope)?;
+    let envelope = match &arguments.envelope {
+        Some(path) => Envelope::load(path)?,
+        None if Path::new(DEFAULT_ENVELOPE).exists() => Envelope::load(Path::new(DEFAULT_ENVELOPE))?,
+        None => Envelope::built_in()?,
+    };
     arguments.rig.check().or_invalid()?;
     let regressions = if arguments.regressions.is_dir() {
         let found = find(std::slice::from_ref(&arguments.regressions))?;
@@ -118,7 +123,6 @@ fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Fa
     } else {
         Vec::new()
     };
-    let law = arguments.law.as_deref().and_then(LawId::from_name).unwrap_or(DEFAULT_LAW);
     let jobs = if arguments.rig.allows_parallel_links() { job_count(arguments.jobs) } else { 1 };
     let time = arguments.time.unwrap_or(Duration::from_mins(1));
     let budget = arguments.scenes.map_or(
@@ -128,7 +132,8 @@ fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Fa
     Ok(ExploreSession {
         envelope,
         rig: arguments.rig.clone(),
-        law,
+        reply_timeout: arguments.reply_timeout,
+        law: arguments.law.clone(),
         seed: arguments.seed,
         budget,
         jobs,
@@ -144,7 +149,9 @@ impl From<ExploreError> for Failure {
             ExploreError::Connect(error) => error.into(),
             ExploreError::Rig(error) => error.into(),
             ExploreError::Run(error) => error.into(),
-            ExploreError::LawNotAnnounced(_) | ExploreError::File(_) | ExploreError::Report(_) => Self::invalid(&error),
+            ExploreError::LawNotAnnounced { .. } | ExploreError::File(_) | ExploreError::Report(_) => {
+                Self::invalid(&error)
+            }
             ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled => {
                 Self::new(Exit::Inconclusive, &error)
             }

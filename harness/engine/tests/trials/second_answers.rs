@@ -5,10 +5,12 @@ use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
 use platebench_engine::{RunHooks, run};
 use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
 use platebench_rig::{HostedLink, Link, LinkError, LinkKind, Session};
-use platebench_test_kit::load_scenario;
-use platebench_wire::{Command, Configured, ControllerState, Gains, Message, Packet};
+use platebench_test_kit::{IDENTITY, load_scenario};
+use platebench_wire::{Command, Configured, ControllerState, Gains, Message, Packet, Tick};
 use rstest::rstest;
 use std::time::Duration;
+
+const NO_GAINS: Gains = Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
 
 /// `more` returns the frame that the controller sends besides its answer.
 struct TalkingLink {
@@ -157,4 +159,28 @@ fn doubled_answers_fail_behind_a_server_too() {
     let doubled = |packet: &Packet| matches!(packet.message, Message::Command(_)).then(|| frame(packet));
     let record = run_on(LinkKind::Network, doubled);
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::SecondReply]));
+}
+
+fn after_the_50th_command(packet: &Packet, message: Message) -> Option<Vec<u8>> {
+    let is_late = matches!(packet.message, Message::Command(_)) && packet.sequence == 50;
+    is_late.then(|| frame(&Packet { sequence: packet.sequence, message }))
+}
+
+/// No script of the protocol check is part of the scenario.
+#[rstest]
+#[case::identity(|packet| after_the_50th_command(packet, Message::Identity(IDENTITY)))]
+#[case::configured(|packet| after_the_50th_command(packet, Message::Configured(Configured { outcome: Ok(NO_GAINS) })))]
+#[case::tick(|packet| after_the_50th_command(packet, Message::Tick(Tick { target_time_us: 1 })))]
+#[case::echo_of_a_request(|packet| after_the_50th_command(packet, Message::Safe))]
+#[case::idle_command(|packet| {
+    let Message::Command(command) = packet.message else { return None };
+    let idle = Command { state: ControllerState::Idle, drive_vpp: 0.0, flags: 0, ..command };
+    let sequence = packet.sequence.wrapping_add(100);
+    (packet.sequence == 50).then(|| frame(&Packet { sequence, message: Message::Command(idle) }))
+})]
+fn a_message_that_no_request_caused_fails(#[case] more: fn(&Packet) -> Option<Vec<u8>>) {
+    let record = run_with(more);
+    assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::UnrequestedMessage]));
+    // Noise on a line may make such a message.
+    assert_eq!(violations(&run_on(LinkKind::Lossy, more)), []);
 }

@@ -1,6 +1,7 @@
 //! Reads the operating envelope.
 
 use platebench_model::scenario::{Diagnostic, load, parse_file};
+use platebench_model::trace::OutputFolder;
 use platebench_plate::Plate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -110,7 +111,26 @@ pub struct Envelope {
     pub digest: [u8; 32],
 }
 
+const BUILT_IN: [(&str, &str); 2] = [
+    ("envelope.toml", include_str!("../../../../scenarios/envelope.toml")),
+    ("plates/aluminium-198x138.toml", include_str!("../../../../scenarios/plates/aluminium-198x138.toml")),
+];
+
 impl Envelope {
+    /// The envelope of the project, for use outside of it.
+    pub fn built_in() -> Result<Self, Vec<Diagnostic>> {
+        let failed = |error: &dyn std::fmt::Display| {
+            vec![Diagnostic::for_file(Path::new("built-in envelope"), format!("cannot be written: {error}"))]
+        };
+        let folder = tempfile::tempdir().map_err(|error| failed(&error))?;
+        let output = OutputFolder::create(folder.path()).map_err(|error| failed(&error))?;
+        for (file, text) in BUILT_IN {
+            output.write(file, text).map_err(|error| failed(&error))?;
+        }
+        let envelope = Self::load(&folder.path().join(BUILT_IN[0].0))?;
+        Ok(Self { path: PathBuf::from("the built-in envelope"), ..envelope })
+    }
+
     /// Reports all wrong keys at once, or all numbers outside their bounds, or all other wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawEnvelope>(path)?;

@@ -5,6 +5,7 @@ use crate::explore::draw::{SceneDraw, Stratum};
 use crate::explore::envelope::Envelope;
 use crate::explore::generator::Generator;
 use crate::explore::guidance::{Corpus, Feature, GuidanceTally, Parent, ROUND, RecordingLink, derive_scene};
+use crate::explore::limits::ExploredLaw;
 use crate::explore::player::ExploreError;
 use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands, relation_demand};
@@ -41,7 +42,7 @@ pub enum ExplorationBudget {
 pub struct ExploreConfig {
     pub envelope: Envelope,
     pub seed: u64,
-    pub law: LawId,
+    pub law: ExploredLaw,
     /// Laws that earlier trials may use.
     pub laws: Vec<LawId>,
     pub budget: ExplorationBudget,
@@ -70,7 +71,7 @@ impl ExploreConfig {
 
     /// The page of the protocol defines the commands of some laws only.
     fn compares_commands(&self) -> bool {
-        self.compares_reference && is_defined_law(self.law)
+        self.compares_reference && self.law.number().is_some_and(is_defined_law)
     }
 
     pub fn demands(&self, scene: &Scene) -> Vec<Demand> {
@@ -183,7 +184,7 @@ impl Exploration {
     fn add_sequence(
         &mut self,
         sequence: &PlayedSequence,
-        law: LawId,
+        law: ExploredLaw,
     ) -> Result<Option<BTreeSet<Feature>>, ExploreError> {
         self.guidance.derived_sequences += u64::from(sequence.is_derived);
         let Some(result) = &sequence.result else {
@@ -192,6 +193,7 @@ impl Exploration {
         };
         let Scenario { messages, .. } = &sequence.scenario;
         let counts = self.rules.counts();
+        let law = law.number().unwrap_or(LawId::OpenLoop);
         self.rules.add(messages, &configure(&sequence.scenario, law)).map_err(RigError::Link)?;
         let exercised = self.rules.counts().into_iter().zip(counts).filter(|((_, now), (_, before))| now > before);
         let rules = exercised.map(|((rule, _), _)| Feature::Rule(rule));

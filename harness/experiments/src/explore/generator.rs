@@ -9,7 +9,7 @@ use crate::explore::draw::{
 };
 use crate::explore::draw::{SineOf, Stratum};
 use crate::explore::envelope::Envelope;
-use crate::explore::limits::LawProperties;
+use crate::explore::limits::ExploredLaw;
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, PlateChoice, Relation, Scene, SceneTrial};
 use platebench_wire::LawId;
@@ -35,7 +35,7 @@ const SINE_STEP_TENTHS: u32 = 20;
 pub struct Generator<'a> {
     pub envelope: &'a Envelope,
     pub seed: u64,
-    pub law: LawId,
+    pub law: ExploredLaw,
     pub laws: &'a [LawId],
 }
 
@@ -83,9 +83,11 @@ impl<'a> Generator<'a> {
     pub(crate) fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
         let judged_configuration = self.configuration(&draw.configuration, self.law);
         let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
-        let relation = stratum.relation.filter(|relation| self.can_relate(*relation, &judged));
-        if relation == Some(Relation::Delayed) {
-            self.simplify_for_delay(&mut judged);
+        let relation = stratum.relation.filter(|relation| self.can_relate(*relation, &judged, stratum));
+        match relation {
+            Some(Relation::Delayed) => self.simplify_for_delay(&mut judged),
+            Some(Relation::Proportional) if self.law.is_own() => self.simplify_for_proportion(&mut judged),
+            _ => {}
         }
         for fault in draw.faults.iter().filter_map(|fault| fault.place(judged.duration_us, judged.period_us)) {
             if judged.faults.iter().all(|other| other.combines_with(&fault, judged.period_us)) {
@@ -98,7 +100,7 @@ impl<'a> Generator<'a> {
             .earlier
             .iter()
             .map(|(own, trial)| {
-                let law = own.as_ref().and_then(law).unwrap_or(self.law);
+                let law = own.as_ref().and_then(law).map_or(self.law, ExploredLaw::from);
                 let configuration = own.as_ref().map_or(judged_configuration, |own| self.configuration(own, law));
                 SceneTrial { law, ..self.trial(configuration, trial, &earlier_stratum, 1) }
             })
@@ -114,17 +116,18 @@ impl<'a> Generator<'a> {
         Scene { earlier, judged, count, script_seed, relation }
     }
 
-    fn can_relate(&self, relation: Relation, trial: &SceneTrial) -> bool {
+    fn can_relate(&self, relation: Relation, trial: &SceneTrial, stratum: &Stratum) -> bool {
         let is_equal = trial.plate.noise_pm == 0 && trial.faults.is_empty();
         let has_delay = self.envelope.range.loop_delay_periods[1] > 0.0;
         // A law that steers chooses its phase by the measured W, not by the predicted one.
         let compensates =
-            LawProperties::of(trial.law).is_some_and(|properties| properties.compensates_delay && !properties.steers);
+            trial.law.properties().is_some_and(|properties| properties.compensates_delay && !properties.steers);
         is_equal
             && match relation {
-                Relation::Proportional => true,
+                // An own law may saturate in its own way.
+                Relation::Proportional => !(trial.law.is_own() && stratum.is_overloaded),
                 // These stay above the resonance, or step up at Wq = 0.
-                Relation::Mirrored => !matches!(trial.law, LawId::FrequencyOnly | LawId::BangBang),
+                Relation::Mirrored => !matches!(trial.law.number(), Some(LawId::FrequencyOnly | LawId::BangBang)),
                 Relation::Delayed => has_delay && compensates,
             }
     }
@@ -137,12 +140,19 @@ impl<'a> Generator<'a> {
         (trial.force, trial.temperature) = (CourseBuilder::new().finish(), CourseBuilder::new().finish());
     }
 
-    fn configuration(&self, draw: &ConfigurationDraw, law: LawId) -> Configuration {
+    /// An own law may compare the amplitude or the phase with a fixed number, so the proportion holds
+    /// at its resonance.
+    fn simplify_for_proportion(&self, trial: &mut SceneTrial) {
+        trial.temperature = CourseBuilder::new().finish();
+        trial.start_frequency_tenths = (trial.mode_at(&self.envelope.plate, 0).omega0 / TAU * 10.0).round() as u32;
+    }
+
+    fn configuration(&self, draw: &ConfigurationDraw, law: ExploredLaw) -> Configuration {
         let range = &self.envelope.range;
         let usual_us = (USUAL_PERIOD_MS.clamp(range.period_ms[0], range.period_ms[1]) * 1e3).round();
         let period_us = usual_us as u32;
         let period_us = period_us.saturating_add_signed(draw.period * (PERIOD_STEP_MS * 1e3) as i32);
-        let has_delay = LawProperties::of(law).is_some_and(|properties| properties.compensates_delay);
+        let has_delay = law.properties().is_some_and(|properties| properties.compensates_delay);
         let permille = (DEVIATION_STEP_PERCENT * 10.0) as i32;
         Configuration {
             period_us,
@@ -243,12 +253,10 @@ struct Timeline<'a> {
 impl<'a> Timeline<'a> {
     fn new(generator: &Generator<'a>, configuration: Configuration, draw: &TrialDraw) -> Self {
         let period_ms = f64::from(configuration.period_us) / 1e3;
-        let adapts = LawProperties::of(generator.law).is_some_and(|properties| properties.adapts_to_damping);
-        let slow = if adapts { 1.0 } else { 2.0 };
         let mut timeline = Self {
             envelope: generator.envelope,
             period_us: configuration.period_us,
-            stretch: period_ms.max(1.0) * slow,
+            stretch: period_ms.max(1.0) * generator.law.stretch(),
             now_us: 0,
             setpoint: Vec::new(),
             force: CourseBuilder::new(),

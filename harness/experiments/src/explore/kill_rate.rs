@@ -209,7 +209,7 @@ impl KillRateConfig {
         let config = ExploreConfig {
             envelope: self.envelope.clone(),
             seed: self.seed,
-            law,
+            law: law.into(),
             laws: LawProperties::explored_laws().collect(),
             budget: ExplorationBudget::Scenes(self.scenes),
             max_failed,

@@ -2,8 +2,11 @@
 //! them. Times are in s. Limits differ between laws only by declared properties (`docs/laws.md`).
 
 use crate::explore::scene::SceneTrial;
+use platebench_model::scenario::OWN_LAW;
 use platebench_plate::{Complex64, Mode, Plate};
 use platebench_wire::LawId;
+use schemars::JsonSchema;
+use serde::Serialize;
 use std::f64::consts::TAU;
 
 /// Half width of the settled band, relative to the setpoint.
@@ -14,6 +17,9 @@ const REQUIRED_S: f64 = 2e-3;
 const FLOOR_FACTOR: f64 = 1.5;
 /// Time constant, s, of the slowest loop that holds the amplitude. It reaches 5 % in 3 ms.
 const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
+
+/// Factor on the measured times of an own law, because other steps and plates take longer.
+const OWN_LAW_FACTOR: f64 = 2.0;
 
 /// If the damping changes by more than this share, the law adopts it after two control periods.
 const MAX_MISMATCH: f64 = 0.3;
@@ -69,7 +75,10 @@ impl<'a> Limits<'a> {
 
     /// Largest magnitude of a pole of the closed loop, per control period.
     fn pole(&self, mode: &Mode) -> f64 {
-        let designed = (-self.period_s / HOLD_TIME_CONSTANT_S).exp();
+        // An exponential is within 5 % after three time constants.
+        let of_own_law = self.properties.own.map(|own| OWN_LAW_FACTOR * seconds(own.settling_us) / 3.0);
+        let time_constant = of_own_law.unwrap_or(0.0).max(HOLD_TIME_CONSTANT_S);
+        let designed = (-self.period_s / time_constant).exp();
         if self.properties.adapts_to_damping {
             return designed;
         }
@@ -119,7 +128,11 @@ impl<'a> Limits<'a> {
     /// Time after a change until its effect is small compared with the limits of steady state.
     pub(crate) fn steady(&self, time_us: u32, from: f64, to: f64) -> f64 {
         let mode = self.mode(time_us);
-        self.settling(time_us, from, to, Knowledge::Unknown) + self.decay(&mode, 1.0 / 250.0)
+        let after = match self.properties.own {
+            Some(own) => OWN_LAW_FACTOR * seconds(own.steady_us),
+            None => self.decay(&mode, 1.0 / 250.0),
+        };
+        self.settling(time_us, from, to, Knowledge::Unknown) + after
     }
 
     /// The error `band · to` relative to the height of the step, at most `band`.
@@ -131,6 +144,9 @@ impl<'a> Limits<'a> {
     /// integral decays with the time constant of the configured plate.
     pub(crate) fn decay_at_rest(&self, time_us: u32) -> f64 {
         let open = 8.0 / self.design.sigma0 + 2.0 * self.period_s + self.delay_s;
+        if let Some(own) = self.properties.own {
+            return open + OWN_LAW_FACTOR * seconds(own.rest_us);
+        }
         // With fixed gains under a finger, the drive rises again, and its slow pole dominates.
         let closed = if self.properties.adapts_to_damping { 0.0 } else { self.decay(&self.mode(time_us), 1e-3) };
         open + closed
@@ -196,6 +212,84 @@ impl<'a> Limits<'a> {
     }
 }
 
+fn seconds(us: u32) -> f64 {
+    f64::from(us) * 1e-6
+}
+
+/// Longest times that an own law took in the steps that measured it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
+pub struct OwnLaw {
+    /// From a step until the amplitude is within 5 %.
+    pub settling_us: u32,
+    /// From a step until amplitude and frequency are steady.
+    pub steady_us: u32,
+    /// From setpoint 0 until the drive is near 0 Vpp.
+    pub rest_us: u32,
+}
+
+/// The law of a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExploredLaw {
+    Numbered(LawId),
+    /// A law that is none of the bench's.
+    Own(OwnLaw),
+}
+
+impl From<LawId> for ExploredLaw {
+    fn from(law: LawId) -> Self {
+        Self::Numbered(law)
+    }
+}
+
+impl ExploredLaw {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Numbered(law) => law.name(),
+            Self::Own(_) => OWN_LAW,
+        }
+    }
+
+    pub const fn number(self) -> Option<LawId> {
+        match self {
+            Self::Numbered(law) => Some(law),
+            Self::Own(_) => None,
+        }
+    }
+
+    pub(crate) const fn is_own(self) -> bool {
+        matches!(self, Self::Own(_))
+    }
+
+    pub(crate) fn properties(self) -> Option<LawProperties> {
+        match self {
+            Self::Numbered(law) => LawProperties::of(law),
+            Self::Own(own) => Some(LawProperties {
+                adapts_to_damping: true,
+                compensates_delay: false,
+                steers: false,
+                tracking_periods: 8.0,
+                own: Some(own),
+            }),
+        }
+    }
+
+    /// Factor of the quiet times of a scene, so that the windows suffice for slow laws.
+    pub(crate) fn stretch(self) -> f64 {
+        match self.properties() {
+            Some(LawProperties { own: Some(own), .. }) => {
+                let needed = OWN_LAW_FACTOR * seconds(own.settling_us + own.steady_us) / USUAL_STEADY_S;
+                needed.clamp(1.0, MAX_STRETCH)
+            }
+            Some(properties) if properties.adapts_to_damping => 1.0,
+            _ => 2.0,
+        }
+    }
+}
+
+/// Time until a window is steady with a law of the bench, without the time to learn the plate.
+const USUAL_STEADY_S: f64 = 7.5e-3;
+const MAX_STRETCH: f64 = 8.0;
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LawProperties {
     /// True if the gains follow the damping. Otherwise they fit only the plate without a finger.
@@ -207,6 +301,8 @@ pub struct LawProperties {
     pub steers: bool,
     /// Time constant with which the law tracks a small change of the damping, control periods.
     pub tracking_periods: f64,
+    /// Measured times of an own law.
+    pub own: Option<OwnLaw>,
 }
 
 impl LawProperties {
@@ -216,12 +312,13 @@ impl LawProperties {
 
     /// `None` for laws with a static error by design, or laws that settle only near the resonance.
     pub const fn of(law: LawId) -> Option<Self> {
-        let adapting = Self { adapts_to_damping: true, compensates_delay: true, steers: false, tracking_periods: 8.0 };
+        let adapting =
+            Self { adapts_to_damping: true, compensates_delay: true, steers: false, tracking_periods: 8.0, own: None };
         match law {
             LawId::DqPi => Some(adapting),
             LawId::Deadbeat => Some(Self { steers: true, ..adapting }),
             LawId::DqPiFixed => {
-                Some(Self { adapts_to_damping: false, compensates_delay: false, steers: false, tracking_periods: 0.0 })
+                Some(Self { adapts_to_damping: false, compensates_delay: false, tracking_periods: 0.0, ..adapting })
             }
             LawId::OpenLoop
             | LawId::DqPiEuler

@@ -102,6 +102,9 @@ impl<'a, L: RecordingLink> Player<'a, L> {
         scenario: &Scenario,
         branches: &BTreeSet<u32>,
     ) -> Result<Option<SceneResult>, ExploreError> {
+        if scenario.needs_new_controller() {
+            self.renew();
+        }
         if self.scenes >= SCENES_PER_CONTROLLER[self.controllers % 2] {
             self.renew();
             self.controllers += 1;
@@ -195,8 +198,8 @@ pub enum ExploreError {
     Rig(#[from] RigError),
     #[error(transparent)]
     Run(#[from] RunError),
-    #[error("the controller does not announce the law {0}, expected --law with one of its laws")]
-    LawNotAnnounced(&'static str),
+    #[error("the controller does not announce the law {law}, expected {options}")]
+    LawNotAnnounced { law: String, options: String },
     #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
     Generated(Box<Diagnostic>),
     #[error("internal error: the bench generated no scene ({0}); report this message and the seed")]

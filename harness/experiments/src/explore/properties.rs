@@ -1,7 +1,6 @@
 //! Turns the windows of a trial into expectations, the properties that every scene must have.
 
 use crate::explore::generator::MAX_STEADY_DRIVE;
-use crate::explore::limits::LawProperties;
 use crate::explore::limits::{BAND, Knowledge, Limits};
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Relation, Scene, SceneTrial};
@@ -127,6 +126,12 @@ const NOISE_SIGMAS: f64 = 6.0;
 /// Shortest steady window, control periods.
 const STEADY_PERIODS: u32 = 4;
 const STATIC_ERROR_PERCENT: f64 = 0.2;
+/// Additional limits of an own law: drive at rest as in the requirement GEN-1, Vpp; overshoot; and
+/// static error and half of the ripple, for a law that calculates in steps of a fixed size.
+const OWN_REST_DRIVE_VPP: f64 = 1.0;
+const OWN_OVERSHOOT_PERCENT: f64 = 60.0;
+const OWN_STEADY_PERCENT: f64 = 0.3;
+const OWN_STEADY_UM: f64 = 1e-3;
 const RIPPLE_PERCENT: f64 = 0.25;
 /// Static error and ripple per relative error of the damping, until the law has corrected it.
 const STATIC_OF_MISMATCH: f64 = 0.5;
@@ -168,6 +173,8 @@ pub fn reference_demands(scene: &Scene) -> Vec<Demand> {
 
 /// Largest difference from a response that a relation predicts, share of the largest setpoint.
 const RELATION_DIFFERENCE: f64 = 1e-3;
+/// The same for an own law, which may calculate in steps of a fixed size.
+const OWN_RELATION_DIFFERENCE: f64 = 2e-2;
 
 /// Allowed error of a law's prediction over the delay, share of the amplitude's change in this time.
 const PREDICTION_ERROR: f64 = 0.1;
@@ -185,12 +192,13 @@ pub fn relation_demand(scene: &Scene, base: &Plate) -> Option<Demand> {
         }
         Relation::Proportional | Relation::Mirrored => 0.0,
     };
+    let difference = if trial.law.is_own() { OWN_RELATION_DIFFERENCE } else { RELATION_DIFFERENCE };
     let highest_nm = trial.setpoint.iter().map(|(_, level)| *level).max().unwrap_or(0);
     Some(Demand {
         property: relation.property(),
         from_us: 0,
         until_us: trial.played_us(scene.relation),
-        at_most: f64::from(highest_nm.max(1)) * 1e-3 * (RELATION_DIFFERENCE + predicted),
+        at_most: f64::from(highest_nm.max(1)) * 1e-3 * (difference + predicted),
         band_percent: None,
     })
 }
@@ -198,10 +206,14 @@ pub fn relation_demand(scene: &Scene, base: &Plate) -> Option<Demand> {
 /// Demands on the judged trial of `scene` that follow from the physics of the plate.
 pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
-    let Some(properties) = LawProperties::of(trial.law) else { return Vec::new() };
+    let Some(properties) = trial.law.properties() else { return Vec::new() };
     let limits = Limits::new(trial, base, properties);
     // The limits are derived for gains of the law's own design, without tuning.
     if trial.tuning != Tuning::default() {
+        return Vec::new();
+    }
+    // The gain of an own law for noise is unknown.
+    if properties.own.is_some() && trial.plate.noise_pm > 0 {
         return Vec::new();
     }
     let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
@@ -302,7 +314,8 @@ impl WindowJudge<'_> {
             let from_us = change.to_us + self.steady_us();
             if from_us + STEADY_PERIODS * self.trial.period_us <= until_us {
                 let noise_vpp = NOISE_SIGMAS * self.limits.noise_um() * self.limits.strongest_gain();
-                demands.push(self.demand(Property::RestDrive, from_us, until_us, REST_DRIVE_VPP + noise_vpp));
+                let rest_vpp = if self.is_own() { OWN_REST_DRIVE_VPP } else { REST_DRIVE_VPP };
+                demands.push(self.demand(Property::RestDrive, from_us, until_us, rest_vpp + noise_vpp));
             }
             return;
         }
@@ -315,6 +328,10 @@ impl WindowJudge<'_> {
             self.add_disturbance(demands, after);
         }
         self.add_steady_state(demands, after);
+    }
+
+    fn is_own(&self) -> bool {
+        self.limits.properties.own.is_some()
     }
 
     fn noise_percent(&self, setpoint: f64) -> f64 {
@@ -340,9 +357,14 @@ impl WindowJudge<'_> {
         if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
             demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
         }
-        if self.window.quiet_us() > 2 * self.trial.period_us {
-            let is_known = self.is_known && before > 0.0;
-            let of_step = if is_known { OVERSHOOT_PERCENT } else { UNKNOWN_OVERSHOOT_PERCENT };
+        let is_known = self.is_known && before > 0.0;
+        // An own law may hold Wd, so |W| overshoots until the frequency is at the resonance.
+        if self.window.quiet_us() > 2 * self.trial.period_us && (is_known || !self.is_own()) {
+            let of_step = match is_known {
+                true if self.is_own() => OWN_OVERSHOOT_PERCENT,
+                true => OVERSHOOT_PERCENT,
+                false => UNKNOWN_OVERSHOOT_PERCENT,
+            };
             let of_mismatch = STATIC_OF_MISMATCH * self.mismatch * 100.0;
             let of_setpoint = OVERSHOOT_OF_SETPOINT_PERCENT + of_mismatch + self.noise_percent(after.max(before));
             let at_most = of_step + of_setpoint * after.max(before) / (after - before).abs();
@@ -358,6 +380,10 @@ impl WindowJudge<'_> {
         let allowed = self.limits.settling(change.to_us, level, level, Knowledge::Unknown);
         if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
             demands.push(self.demand(Property::Recovery, change.to_us, until_us, allowed * 1e3));
+        }
+        // How far a disturbance moves the amplitude is part of the design.
+        if self.is_own() {
+            return;
         }
         let reaction_us = self.trial.period_us + self.trial.delay_us + self.trial.period_us.max(CLOSED_LOOP_US);
         let moved_us = change.to_us.min(change.from_us + reaction_us).max(change.from_us);
@@ -381,10 +407,15 @@ impl WindowJudge<'_> {
         // tan φ = Δω/σ: an error of the phase looks like a detuning, the larger the more the finger
         // damps.
         let noise_hz = noise / 100.0 * self.limits.mode(change.to_us).sigma / TAU;
+        let (own_percent, own_hz) = if self.is_own() {
+            (OWN_STEADY_PERCENT + OWN_STEADY_UM / level * 100.0, FREQUENCY_ERROR_HZ)
+        } else {
+            (0.0, 0.0)
+        };
         let pairs = [
-            (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise),
-            (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise),
-            (Property::Frequency, FREQUENCY_ERROR_HZ + FREQUENCY_OF_MOVE * moved_hz + noise_hz),
+            (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise + own_percent),
+            (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise + 2.0 * own_percent),
+            (Property::Frequency, FREQUENCY_ERROR_HZ + FREQUENCY_OF_MOVE * moved_hz + noise_hz + own_hz),
         ];
         demands.extend(pairs.map(|(property, at_most)| self.demand(property, from_us, until_us, at_most)));
     }

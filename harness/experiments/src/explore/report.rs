@@ -6,7 +6,7 @@ use crate::explore::exploration::{
     Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, SequenceTally, UndecidedScene,
 };
 use crate::explore::guidance::GuidanceTally;
-use crate::explore::limits::LawProperties;
+use crate::explore::limits::{LawProperties, OwnLaw};
 use crate::explore::player::{ExploreError, violated};
 use crate::explore::properties::Property;
 use platebench_engine::SafeEnds;
@@ -42,6 +42,9 @@ pub struct ExploreReport {
     pub rig: String,
     pub firmware: String,
     pub law: &'static str,
+    /// Measured times of an own law. Its limits follow from them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub own_law: Option<OwnLaw>,
     pub seed: u64,
     pub scenes: u64,
     pub failed: u64,
@@ -140,6 +143,7 @@ impl ExploreReport {
             rig: rig.to_owned(),
             firmware: firmware.to_owned(),
             law: config.law.name(),
+            own_law: config.law.properties().and_then(|properties| properties.own),
             seed: config.seed,
             scenes: exploration.scenes,
             failed,
@@ -319,7 +323,7 @@ pub fn document(report: &ExploreReport) -> Document {
     ]);
     let mut blocks = vec![
         Block::paragraph(format!("{scenes} scenes of {envelope} for {law}, seed {seed}, {elapsed_s:.1} s")),
-        Block::paragraph(limits(law)),
+        Block::paragraph(limits(law, report.own_law)),
         Block::paragraph(sequences(&report.sequences)),
         Block::paragraph(guidance(&report.guidance)),
         Block::paragraph(unmet_rules(&report.coverage)),
@@ -331,7 +335,15 @@ pub fn document(report: &ExploreReport) -> Document {
     Document { lead, ..Document::new(format!("{verdict}: exploration of {law}"), blocks) }
 }
 
-fn limits(law: &str) -> String {
+fn limits(law: &str, own: Option<OwnLaw>) -> String {
+    if let Some(OwnLaw { settling_us, steady_us, rest_us }) = own {
+        let [settling_ms, steady_ms, rest_ms] = [settling_us, steady_us, rest_us].map(|us| f64::from(us) / 1e3);
+        return format!(
+            "the limits follow from the longest times of its steps: settled after {settling_ms:.1} ms, steady after \
+             {steady_ms:.1} ms, drive near 0 Vpp after {rest_ms:.1} ms; deviation, delayed-response and reference do \
+             not apply"
+        );
+    }
     if LawId::from_name(law).and_then(LawProperties::of).is_some() {
         return "all properties apply".to_owned();
     }

@@ -4,6 +4,7 @@
 //! Times and values are multiples of a small unit, so scenario files contain short numbers.
 
 use crate::explore::envelope::Ranges;
+use crate::explore::limits::ExploredLaw;
 use crate::explore::properties::Property;
 use platebench_controller::design::{PiGains, default_response_time_s};
 use platebench_engine::wire_fault_kind;
@@ -59,7 +60,7 @@ impl Relation {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneTrial {
-    pub law: LawId,
+    pub law: ExploredLaw,
     /// Differences from the plate of the envelope.
     pub plate: PlateChoice,
     pub period_us: u32,
@@ -79,7 +80,7 @@ pub struct SceneTrial {
     pub faults: Vec<LineFault>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct PlateChoice {
     pub limit_vpp: u32,
     pub noise_pm: u32,
@@ -389,7 +390,15 @@ impl Tuning {
     }
 
     /// `controller` with these settings. `design` is the configured plate.
-    pub(crate) fn apply(&self, controller: RawController, law: LawId, design: &Plate, period_us: u32) -> RawController {
+    pub(crate) fn apply(
+        &self,
+        controller: RawController,
+        law: ExploredLaw,
+        design: &Plate,
+        period_us: u32,
+    ) -> RawController {
+        // An own law uses configured gains or ignores them.
+        let law = law.number().unwrap_or(LawId::DqPiFixed);
         let tenths = |value: Option<u32>| value.map(|tenths| f64::from(tenths) / 10.0);
         let gains = self.gains_percent.map(|[amplitude, frequency]| {
             let period = f64::from(period_us) * 1e-6;

@@ -7,6 +7,7 @@
 
 use crate::explore::envelope::Envelope;
 use crate::explore::guidance::{below, random_numbers};
+use crate::explore::limits::ExploredLaw;
 use crate::explore::properties::{Property, REFERENCE_DIFFERENCE_PERCENT};
 use crate::explore::scenario_file::{SceneScenario, raw_plate};
 use platebench_model::scenario::raw::{RawController, RawExpectation, RawProfiles, RawScenario, RawTrials};
@@ -30,6 +31,8 @@ const RULES: u64 = 3;
 const TIMED_OUT: u64 = 3;
 /// Number of blocks with silences of a sequence in wall time.
 const WATCHDOG_BLOCKS: u32 = 3;
+/// A sequence of this many starts before the first configuration.
+const FIRST_MESSAGES_EVERY: u64 = 11;
 /// A sequence of this many has a long run.
 const LONG_RUN_EVERY: u64 = 7;
 const LONG_RUN_KINDS: u64 = 5;
@@ -66,7 +69,7 @@ const SCALED_LIMIT_VPP: f32 = 450.0;
 const SILENCE_PER_MESSAGE_MS: f64 = 100.0;
 /// Timeouts of the watchdog's own blocks in wall time, ms. They are long, because a busy host is
 /// late, and need more than eight bits in part.
-const WALL_TIMEOUTS_MS: [u16; 4] = [180, 220, 260, 300];
+const WALL_TIMEOUTS_MS: [u16; 5] = [180, 220, 260, 300, 700];
 /// Ends of the range, and numbers that `f32` cannot hold.
 const START_FREQUENCIES_MHZ: [u32; 6] = [1, u32::MAX, 1 << 24, (1 << 25) + 2, (1 << 26) + 4, 0xaaaa_aaab];
 /// A usable configuration except for a loop delay of 0 with bit 2.
@@ -87,6 +90,10 @@ pub struct SequenceLimits {
     pub has_loop_delay: bool,
     pub has_own_plate: bool,
     pub laws: Vec<LawId>,
+    /// True if the rig can start a new controller.
+    pub starts_controllers: bool,
+    /// True for an own law, which may ignore configured gains.
+    pub is_own_law: bool,
 }
 
 impl SequenceLimits {
@@ -99,6 +106,8 @@ impl SequenceLimits {
             has_loop_delay: identity.has_capability(capabilities::LOOP_DELAY),
             has_own_plate: identity.has_capability(capabilities::OWN_PLATE),
             laws: LawId::ALL.into_iter().filter(|law| identity.has_law(*law)).collect(),
+            starts_controllers: true,
+            is_own_law: identity.laws == 0,
         }
     }
 
@@ -122,14 +131,18 @@ impl SequenceLimits {
     /// Parts of `parent` and of the drawn sequence `drawn` in another order, between two reference
     /// trials of `parent`. A part begins with a configuration, which makes it independent of the
     /// parts before it.
-    pub fn derive(
+    pub fn derive<'a>(
         &self,
         seed: u64,
         index: u64,
-        parent: &[ScenarioMessage],
-        drawn: &[ScenarioMessage],
+        parent: &'a [ScenarioMessage],
+        drawn: &'a [ScenarioMessage],
     ) -> Vec<ScenarioMessage> {
         let mut random = random_numbers("derived messages", seed, index);
+        // Messages before the first configuration are played in their turn.
+        let is_configuration = |message: &ScenarioMessage| matches!(message, ScenarioMessage::Configure(_));
+        let from_first = |all: &'a [ScenarioMessage]| all.get(all.iter().position(is_configuration)?..);
+        let (parent, drawn) = (from_first(parent).unwrap_or_default(), from_first(drawn).unwrap_or_default());
         let is_usable = |part: &&[ScenarioMessage]| {
             part.iter().all(|message| match message {
                 // Long runs are played in their turn, and silences cost wall time.
@@ -238,7 +251,10 @@ impl Draw<'_> {
             let sample = self.sample();
             self.trial.push(sample);
         }
-        self.messages = self.trial.clone();
+        if self.limits.starts_controllers && index % FIRST_MESSAGES_EVERY == FIRST_MESSAGES_EVERY - 1 {
+            self.before_configuration(index / FIRST_MESSAGES_EVERY);
+        }
+        self.messages.extend(self.trial.iter().cloned());
         if index % LONG_RUN_EVERY == LONG_RUN_EVERY - 1 {
             self.long_run(index / LONG_RUN_EVERY);
             return;
@@ -268,6 +284,37 @@ impl Draw<'_> {
             }
         }
         self.messages.extend(self.trial.iter().cloned());
+    }
+
+    /// Messages to a controller that was never configured, in every order of the kinds.
+    fn before_configuration(&mut self, number: u64) {
+        let [first, second] = [number % 3, number / 3 % 2];
+        let order = if second == 0 {
+            [first, (first + 1) % 3, (first + 2) % 3]
+        } else {
+            [first, (first + 2) % 3, (first + 1) % 3]
+        };
+        for kind in order.into_iter().chain(order) {
+            let message = match kind {
+                0 => self.sample(),
+                1 => ScenarioMessage::Safe {},
+                _ => ScenarioMessage::Hello {},
+            };
+            self.messages.push(message);
+        }
+        match self.below(4) {
+            0 => {
+                let sample = self.not_finite();
+                self.messages.push(sample);
+            }
+            1 => self.messages.extend(vec![ScenarioMessage::Damaged { byte: 5 }; 6]),
+            2 => {
+                let configure = self.unusable();
+                self.messages.push(configure);
+            }
+            _ => self.messages.push(ScenarioMessage::Repeat {}),
+        }
+        self.samples(2);
     }
 
     /// Sends one kind of message in one state, so that every rule of the protocol has its turn.
@@ -564,7 +611,7 @@ impl Draw<'_> {
             return;
         }
         let (watchdog_timeout_ms, period_us) =
-            if is_default { (0, u32::from(timeout) * 200) } else { (timeout, 1_000) };
+            if is_default { (0, u32::from(timeout) * 200) } else { (timeout, self.pick(&[1_000, 500, 4_000], 1_000)) };
         self.messages.push(configure(ConfigurationChange {
             watchdog_timeout_ms: Some(watchdog_timeout_ms),
             period_us: Some(period_us),
@@ -582,6 +629,8 @@ impl Draw<'_> {
         let shares: &[f64] = match self.below(6) {
             0 | 1 => &[0.4],
             2 | 3 => &[0.55, 0.6],
+            // A host may be 80 ms late.
+            4 if timeout > 600.0 || !own_clock => &[0.85],
             4 => &[0.4, 1.7],
             _ => &[1.7],
         };
@@ -693,9 +742,12 @@ impl Draw<'_> {
             6 => configure(ConfigurationChange { frequency_slew_hz: Some(wrong), ..NONE }),
             7 => configure(ConfigurationChange { response_time_s: Some(response), ..NONE }),
             8 if self.limits.has_loop_delay => {
-                configure(ConfigurationChange { period_us: Some(1_000), loop_delay_us: Some(1_001), ..NONE })
+                let period = self.pick(&[1_000, 300, 4_000], 1_000);
+                let loop_delay_us = Some(period + 1);
+                configure(ConfigurationChange { period_us: Some(period), loop_delay_us, ..NONE })
             }
             9 if !self.limits.has_own_plate => configure(ConfigurationChange { own_plate: true, ..NONE }),
+            _ if self.limits.is_own_law => configure(ConfigurationChange { response_time_s: Some(response), ..NONE }),
             _ => configure(ConfigurationChange { gains: Some(gains), ..NONE }),
         }
     }
@@ -762,7 +814,7 @@ const fn configure(change: ConfigurationChange) -> ScenarioMessage {
 /// Builds the scenario of a sequence. Its trial is as short as possible.
 pub fn scenario(
     envelope: &Envelope,
-    law: LawId,
+    law: ExploredLaw,
     messages: &[ScenarioMessage],
     title: &str,
     plate_prefix: &str,

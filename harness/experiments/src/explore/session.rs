@@ -5,7 +5,8 @@ use crate::explore::envelope::Envelope;
 #[cfg(feature = "firmware-analysis")]
 use crate::explore::exploration::explore_and_record;
 use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore};
-use crate::explore::limits::LawProperties;
+use crate::explore::limits::{ExploredLaw, LawProperties, OwnLaw};
+use crate::explore::own_law::measure_own_law;
 use crate::explore::player::{ExploreError, Player, SceneFailure};
 use crate::explore::properties::Property;
 use crate::explore::report;
@@ -17,10 +18,10 @@ use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
 use crate::firmware_analysis::suite::read_code;
 use platebench_engine::SafeEnds;
 use platebench_engine::plan::LinkFactory;
-use platebench_model::scenario::{Scenario, ScenarioMessage, load};
+use platebench_model::scenario::{OWN_LAW, Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, RigError, RigSpec, Session};
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigError, RigSpec, Session};
 #[cfg(feature = "firmware-analysis")]
 use platebench_rig::{Capability, ConnectError, EmulatedLink};
 use platebench_wire::{Identity, LawId, Message, Packet, capabilities};
@@ -47,7 +48,10 @@ const MAX_MINIMAL: usize = 3;
 pub struct ExploreSession {
     pub envelope: Envelope,
     pub rig: RigSpec,
-    pub law: LawId,
+    /// Longest wait for an answer on a line.
+    pub reply_timeout: Duration,
+    /// Name of a law. By default an own law if the controller announces no number, otherwise `dq-pi`.
+    pub law: Option<String>,
     pub seed: u64,
     pub budget: ExplorationBudget,
     pub jobs: usize,
@@ -94,11 +98,19 @@ impl ExploreSession {
         folder: &Path,
         on_progress: &mut dyn FnMut(ProgressEvent),
     ) -> Result<(ExploreReport, Option<ExploreError>), ExploreError> {
-        let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+        let options =
+            ConnectOptions { reply_timeout: self.reply_timeout, cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
-        let (identity, exchange_time) = identify(&connect, &ends, cancel)?;
-        let config = self.config(&identity, exchange_time)?;
+        let (identity, exchange_time, kind) = identify(&connect, &ends, cancel)?;
+        let mut config = self.config(&identity, exchange_time)?;
+        if let Some(sequences) = &mut config.sequences {
+            sequences.starts_controllers = !kind.loses_bytes();
+        }
+        if config.law.is_own() {
+            let measured = measure_own_law(&config.envelope, &connect, config.own_clock, cancel, &ends)?;
+            config.law = ExploredLaw::Own(measured.ok_or(ExploreError::Cancelled)?);
+        }
         let started = Instant::now();
         let mut on_scene = |scenes, failed| {
             on_progress(ProgressEvent { elapsed: started.elapsed(), scenes, failed });
@@ -149,35 +161,48 @@ impl ExploreSession {
     }
 
     fn config(&self, identity: &Identity, exchange_time: Duration) -> Result<ExploreConfig, ExploreError> {
-        if !identity.has_law(self.law) {
-            return Err(ExploreError::LawNotAnnounced(self.law.name()));
-        }
-        let laws = LawProperties::explored_laws().filter(|law| identity.has_law(*law));
+        let law = self.explored_law(identity)?;
+        let laws = LawProperties::explored_laws().filter(|other| identity.has_law(*other) && !law.is_own());
         let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
         let announced = |scenario: &Scenario| {
-            LawId::from_name(&scenario.controller.law).is_some_and(|law| identity.has_law(law))
-                && (knows_delay || scenario.controller.design_delay == Time::ZERO)
+            let has_law = match LawId::from_name(&scenario.controller.law) {
+                Some(law) => identity.has_law(law),
+                None => law.is_own(),
+            };
+            has_law && (knows_delay || scenario.controller.design_delay == Time::ZERO)
         };
+        let sequences = SequenceLimits::new(
+            identity,
+            self.rig.has_own_clock(),
+            self.rig.name() == RigSpec::hosted().name(),
+            LONGEST_SEQUENCE.div_duration_f64(exchange_time.max(FASTEST_EXCHANGE)) as u64,
+        );
         Ok(ExploreConfig {
             envelope: envelope_for(&self.envelope, identity),
             seed: self.seed,
-            law: self.law,
+            law,
             laws: laws.collect(),
             budget: self.budget,
             max_failed: ENOUGH_FAILURES,
             jobs: self.jobs,
             own_clock: self.rig.has_own_clock(),
             compares_reference: self.compares_reference,
-            sequences: Some(SequenceLimits::new(
-                identity,
-                self.rig.has_own_clock(),
-                self.rig.name() == RigSpec::hosted().name(),
-                LONGEST_SEQUENCE.div_duration_f64(exchange_time.max(FASTEST_EXCHANGE)) as u64,
-            )),
+            sequences: Some(SequenceLimits { is_own_law: law.is_own(), ..sequences }),
             regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
             is_guided: true,
             branch_outcomes: branch_outcomes(&self.rig)?,
         })
+    }
+
+    fn explored_law(&self, identity: &Identity) -> Result<ExploredLaw, ExploreError> {
+        let name = self.law.as_deref().unwrap_or(if identity.laws == 0 { OWN_LAW } else { LawId::DqPi.name() });
+        let Some(law) = LawId::from_name(name) else { return Ok(ExploredLaw::Own(OwnLaw::default())) };
+        if identity.has_law(law) {
+            return Ok(law.into());
+        }
+        let announced = LawId::ALL.into_iter().filter(|law| identity.has_law(*law)).map(LawId::name);
+        let options: Vec<_> = announced.chain([OWN_LAW]).map(|law| format!("--law {law}")).collect();
+        Err(ExploreError::LawNotAnnounced { law: name.to_owned(), options: options.join(" or ") })
     }
 
     /// Stores the sequence, reduced until `deadline`. Without a deadline it is stored as it is. An
@@ -351,12 +376,12 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     reduced
 }
 
-/// Returns the identity and the mean time of an exchange.
+/// Returns the identity, the mean time of an exchange and the kind of the link.
 fn identify(
     connect: &LinkFactory<'_>,
     ends: &SafeEnds,
     cancel: &CancelToken,
-) -> Result<(Identity, Duration), ExploreError> {
+) -> Result<(Identity, Duration, LinkKind), ExploreError> {
     let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
     let identity = *session.identity();
     let hello = Packet { sequence: 0, message: Message::Hello }.encode();
@@ -366,8 +391,9 @@ fn identify(
         link.exchange(Duration::ZERO, hello.as_bytes(), &mut Vec::new()).map_err(RigError::Link)?;
     }
     let exchange_time = started.elapsed() / MEASURED_EXCHANGES;
+    let kind = session.link().kind();
     ends.record(session.close());
-    Ok((identity, exchange_time))
+    Ok((identity, exchange_time, kind))
 }
 
 /// The first sequences with different differences, at most three.
@@ -439,7 +465,7 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let (identity, _) =
+        let (identity, ..) =
             identify(&|| RigSpec::hosted().connect(), &SafeEnds::default(), &CancelToken::never()).unwrap();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };

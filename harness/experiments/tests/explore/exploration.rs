@@ -128,14 +128,15 @@ fn scenes_before_a_lost_rig_are_kept() {
 
 #[test]
 fn an_interrupted_exploration_writes_its_result() {
-    let ExploreConfig { envelope, law, seed, jobs, .. } = configuration(LawId::DqPi, 1);
+    let ExploreConfig { envelope, seed, jobs, .. } = configuration(LawId::DqPi, 1);
     let budget = ExplorationBudget::Scenes(u64::MAX / 4);
     let (regressions, regression_folder) = (Vec::new(), PathBuf::from("none"));
     let rig = RigSpec::hosted();
     let session = ExploreSession {
         envelope,
         rig,
-        law,
+        reply_timeout: Duration::from_millis(500),
+        law: None,
         seed,
         budget,
         jobs,

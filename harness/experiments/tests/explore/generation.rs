@@ -102,7 +102,7 @@ fn the_noise_of_the_frequency_limit_grows_with_the_damping() {
     };
     let limit = |force: i32| {
         let judged = SceneTrial {
-            law: LawId::DqPi,
+            law: LawId::DqPi.into(),
             plate,
             period_us: 900,
             delay_us: 0,

@@ -20,6 +20,8 @@ fn limits() -> SequenceLimits {
         has_loop_delay: true,
         has_own_plate: false,
         laws: LawId::ALL.to_vec(),
+        starts_controllers: true,
+        is_own_law: false,
     }
 }
 

@@ -27,14 +27,42 @@ impl fmt::Display for Divergence {
     }
 }
 
-/// Trace of a loop that acts in the wrong direction. It decides no verdict.
+/// What a trace shows of a likely cause. It decides no verdict.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
-pub enum SignSymptom {
+pub enum LoopSymptom {
     #[error("the drive stayed at 0 V although the setpoint was above 0: sign of the amplitude loop?")]
     NoDrive,
     #[error("the frequency ended at its limit, away from the resonance: sign of the frequency loop?")]
     FrequencyAtLimit,
+    #[error(
+        "the drive command was NaN or infinite: layout of the sample or the command (offsets, byte order), or a \
+         division by 0?"
+    )]
+    NotFinite,
+    #[error(
+        "a single drive command differs much from those before and after it: layout of the command, or a buffer that \
+         changes while it is sent?"
+    )]
+    DriveSpike,
+    #[error("the drive stayed at its limit after the amplitude had passed the setpoint: anti-windup of the loop?")]
+    WindUp,
+    #[error(
+        "the drive switches between 0 V and its limit: gains too large, such as a period in ms or µs instead of s, or \
+         a gain of the plate in another unit?"
+    )]
+    SwitchingDrive,
+    #[error(
+        "the amplitude stays off the setpoint and the drive does not move: no integral, or a period in another unit?"
+    )]
+    UnmovedDrive,
+}
+
+impl LoopSymptom {
+    /// True if a loop that passes may show it, so that it explains failures only.
+    pub const fn explains_failures_only(self) -> bool {
+        !matches!(self, Self::NoDrive | Self::FrequencyAtLimit)
+    }
 }
 
 /// Why a trial does not count or did not end well.

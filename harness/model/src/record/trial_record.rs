@@ -2,7 +2,7 @@
 
 use crate::metrics::{EnablePin, Metric, RigReports};
 use crate::record::reason;
-use crate::record::reason::{SignSymptom, TrialReason};
+use crate::record::reason::{LoopSymptom, TrialReason};
 use crate::record::verdict::Cause;
 use crate::record::verdict::{Violation, ViolationKind};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -35,9 +35,9 @@ pub struct TrialRecord {
     pub reason: Option<TrialReason>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diverged_at_s: Option<f64>,
-    /// Absent unless the trace shows a loop with a wrong sign.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sign_symptom: Option<SignSymptom>,
+    /// Absent unless the trace shows a likely cause of a failure.
+    #[serde(rename = "sign_symptom", default, skip_serializing_if = "Option::is_none")]
+    pub symptom: Option<LoopSymptom>,
     /// Wall-clock time of the trial, ms; `null` if the trial was judged again.
     pub wall_ms: Option<f64>,
 }

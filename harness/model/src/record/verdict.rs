@@ -252,16 +252,24 @@ pub enum ViolationKind {
     StepTime,
     /// A configuration refused that the page of the protocol calls usable.
     RefusedConfiguration,
+    /// A message of the controller that no request caused and that the page of the protocol does not
+    /// allow, on a line that loses no byte.
+    UnrequestedMessage,
 }
 
 impl ViolationKind {
-    pub const COUNT: usize = 14;
+    pub const COUNT: usize = 15;
 
     /// True if only the number of violations is known, not the instant of the first one.
     const fn is_counted(self) -> bool {
         matches!(
             self,
-            Self::WrongSequence | Self::SecondReply | Self::IgnoredSafe | Self::UnrequestedSafe | Self::RejectedFrame
+            Self::WrongSequence
+                | Self::SecondReply
+                | Self::IgnoredSafe
+                | Self::UnrequestedSafe
+                | Self::RejectedFrame
+                | Self::UnrequestedMessage
         )
     }
 }
@@ -304,6 +312,7 @@ impl fmt::Display for Violation {
                     None => write!(formatter, "frame of the controller rejected: its CRC, COBS or message is wrong"),
                 }
             }
+            ViolationKind::UnrequestedMessage => write!(formatter, "message of the controller without a request"),
             ViolationKind::RefusedConfiguration => write!(formatter, "usable configuration refused"),
             ViolationKind::StepTime => write!(
                 formatter,

@@ -161,6 +161,11 @@ impl Scenario {
         !self.between.is_empty() || self.expectations.iter().any(compares_trials)
     }
 
+    /// True if the messages start before the first configuration of a controller.
+    pub fn needs_new_controller(&self) -> bool {
+        !matches!(self.messages.first(), None | Some(ScenarioMessage::Configure(_)))
+    }
+
     /// The scene of trial `index`.
     pub fn of_trial(&self, index: u32) -> &Self {
         self.other_trials.as_deref().filter(|_| index > 0).unwrap_or(self)

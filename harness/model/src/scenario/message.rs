@@ -181,10 +181,17 @@ impl Checker<'_> {
             "message",
             || "[[message]] without an expectation for its answers, expected [[expect]] with protocol_differences",
         )?;
+        let is_known = matches!(
+            first,
+            ScenarioMessage::Configure(_)
+                | ScenarioMessage::Hello {}
+                | ScenarioMessage::Safe {}
+                | ScenarioMessage::Sample { split_at: None, .. }
+        );
         self.require(
-            matches!(first, ScenarioMessage::Configure(_)),
+            is_known,
             "message.0.kind",
-            || "the first message, expected `configure`: a sequence starts in a known state",
+            || "the first message, expected `configure`, or `hello`, `safe` or `sample` to a new controller",
         )?;
         let played = ScenarioMessage::count(messages);
         self.require(played <= MAX_PLAYED, "message", || {

@@ -2,7 +2,7 @@
 //! boards, environment, and the list of scenarios next to the page.
 
 use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
-use super::scenario::sign_remark;
+use super::scenario::symptom_remark;
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
 use crate::document::verdict_badge;
@@ -41,8 +41,8 @@ pub(super) fn head(record: &RunRecord) -> Markup {
         }
         @if !record.complete { p.notice { "The page shows the part that was played." } }
         @if record.verdict == Verdict::Pass {
-            @for (scenario, ..) in record_queries::sign_symptoms(record).take(MAX_NAMED) {
-                p.notice { (scenario.file) ": " @if let Some(remark) = sign_remark(scenario) { (remark) } }
+            @for (scenario, ..) in record_queries::symptoms(record).take(MAX_NAMED) {
+                p.notice { (scenario.file) ": " @if let Some(remark) = symptom_remark(scenario) { (remark) } }
             }
         }
         ul.tiles.compact[record.verdict != Verdict::Pass] {
@@ -64,8 +64,14 @@ pub(super) fn not_passed_section(
     history: &RunHistory,
     changed: &BTreeSet<String>,
 ) -> Markup {
-    let (shared, alone): (Vec<_>, Vec<_>) =
-        record_queries::cause_groups(record).into_iter().partition(|group| group.members.len() > 1);
+    let mut groups = record_queries::cause_groups(record);
+    // The newest change is the likeliest cause, so what it broke comes first.
+    let is_new = |(_, scenario, index): &(usize, &ScenarioRecord, usize)| history.is_new(record, scenario, *index);
+    for group in &mut groups {
+        group.members.sort_by_key(|member| !is_new(member));
+    }
+    groups.sort_by_key(|group| (group.verdict != Verdict::Fail, !group.members.first().is_some_and(is_new)));
+    let (shared, alone): (Vec<_>, Vec<_>) = groups.into_iter().partition(|group| group.members.len() > 1);
     let (failed, inconclusive): (Vec<_>, Vec<_>) = shared.iter().partition(|group| group.verdict == Verdict::Fail);
     let indices = |place: usize| -> Vec<usize> {
         alone
@@ -75,11 +81,15 @@ pub(super) fn not_passed_section(
             .map(|member| member.2)
             .collect()
     };
-    let open: Vec<(usize, Vec<usize>)> = sorted_by_verdict(record)
+    let mut open: Vec<(usize, Vec<usize>)> = sorted_by_verdict(record)
         .into_iter()
         .map(|(place, _)| (place, indices(place)))
         .filter(|(_, indices)| !indices.is_empty())
         .collect();
+    let scenario_verdict = |place: usize| record.scenarios.get(place).map(|scenario| scenario.verdict);
+    let has_new =
+        |place: usize| alone.iter().flat_map(|group| &group.members).any(|member| member.0 == place && is_new(member));
+    open.sort_by_key(|(place, _)| (scenario_verdict(*place) != Some(Verdict::Fail), !has_new(*place)));
     let missed = record_queries::required_not_applicable(record);
     let is_empty = shared.is_empty() && alone.is_empty() && missed.is_empty();
     html! {
@@ -127,7 +137,7 @@ fn cause_card(
                 a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
-            (sign_notice(scenario))
+            (symptom_notice(scenario))
             (not_passed_item(record, scenario, index, data.get(place), history, changed))
             @if let Some(plot) = plots.get(place) { (plot) }
             details {
@@ -149,8 +159,8 @@ fn cause_card(
     }
 }
 
-fn sign_notice(scenario: &ScenarioRecord) -> Markup {
-    html! { @if let Some(remark) = sign_remark(scenario) { p.notice { (remark) } } }
+fn symptom_notice(scenario: &ScenarioRecord) -> Markup {
+    html! { @if let Some(remark) = symptom_remark(scenario) { p.notice { (remark) } } }
 }
 
 fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<String>) -> Markup {
@@ -194,7 +204,7 @@ fn not_passed_card(
                 " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
                 " " span.file { (scenario.file) }
             }
-            (sign_notice(scenario))
+            (symptom_notice(scenario))
             @for (number, index) in indices.iter().enumerate() {
                 (not_passed_item(record, scenario, *index, data, history, changed))
                 @if let Some(plot) = plot.filter(|_| number == 0) { (plot) }

@@ -53,7 +53,7 @@ pub(super) fn scenario_article(index: usize, scenario: &ScenarioRecord, parts: &
             (expectations_table(scenario, &parts.trends))
             (requirement_texts(scenario))
             (overshoot_remark(scenario, parts.data))
-            @if let Some(remark) = sign_remark(scenario) { p.notice { "Warning: " (remark) } }
+            @if let Some(remark) = symptom_remark(scenario) { p.notice { "Warning: " (remark) } }
             (golden_difference(parts.data))
             (unreadable_traces(parts.data))
             @if let Some(reason) = &parts.baseline_error { p.notice { "The baseline cannot be shown: " (reason) } }
@@ -177,9 +177,9 @@ fn overshoot_remark(scenario: &ScenarioRecord, data: &TraceData) -> Markup {
     }
 }
 
-pub(super) fn sign_remark(scenario: &ScenarioRecord) -> Option<String> {
-    let (trial, symptom) = scenario.trials.iter().find_map(|trial| Some((trial.index, trial.sign_symptom?)))?;
-    Some(format::sign_symptom(scenario, trial, symptom))
+pub(super) fn symptom_remark(scenario: &ScenarioRecord) -> Option<String> {
+    let (trial, symptom) = record_queries::symptom_of(scenario)?;
+    Some(format::symptom(scenario, trial, symptom))
 }
 
 fn golden_difference(data: &TraceData) -> Markup {

@@ -156,8 +156,6 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
         style.write_wrapped(text, &margin, "  ", &result);
     }
     write_cost(text, &record.cost, style, in_full);
-    write_tight_steps(text, record, style, in_full);
-    write_sign_symptoms(text, record, style, in_full);
     if let Some(overrides) = format::overrides(record) {
         style.write_wrapped(text, "", "  ", &format!("overridden: {overrides}"));
     }
@@ -165,6 +163,25 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
     write_scripts_not_played(text, record, style);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, in_full);
+    write_hints(text, record, style, in_full);
+}
+
+/// Hints stand at the end, where a reader of a terminal sees them.
+fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
+    write_tight_steps(text, record, style, in_full);
+    write_symptoms(text, record, style, in_full);
+    if record_queries::is_late_in_real_time(record) {
+        let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period; with \
+                    --clock lockstep time waits for each answer";
+        style.write_wrapped(text, "hint: ", "  ", hint);
+    }
+    if let Some(delay_ms) = record_queries::server_delay_ms(record) {
+        let hint = format!(
+            "every answer takes about {delay_ms:.1} ms, as behind a ser2net that collects characters, at any baud rate: \
+             set `chardelay: false` in its connection"
+        );
+        style.write_wrapped(text, "hint: ", "  ", &hint);
+    }
 }
 
 fn write_time_limits(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
@@ -225,43 +242,27 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
     write_scripts_not_played(text, record, style);
     write_verdict(text, record, style);
     write_list_of_not_passed(text, record, style, false);
+    write_hints(text, record, style, false);
 }
 
 fn write_not_applicable(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     // The groups below contain the scenarios that do not apply to an own law, and the list of what
     // did not pass contains the scenarios that `--require-all` needs.
     let is_listed = |scenario: &&NotApplicable| in_full || scenario.expectations == 0;
-    let listed = || record_queries::skipped_scenarios(record).iter().filter(is_listed);
-    if in_full || listed().count() <= MAX_LISTED {
-        for scenario in listed() {
-            style.write_wrapped(text, "not applicable: ", "  ", &format!("{}: {}", scenario.file, scenario.reason));
-        }
-    } else {
-        write_reasons_not_applicable(
-            text,
-            &listed().map(|scenario| scenario.reason.as_str()).collect::<Vec<_>>(),
-            style,
-        );
+    let listed = record_queries::skipped_scenarios(record).iter().filter(is_listed);
+    let mut reasons: Vec<String> = listed.map(|scenario| format!("{}: {}", scenario.file, scenario.reason)).collect();
+    let groups = record_queries::not_applicable_groups(record);
+    reasons.extend(groups.iter().map(format::not_applicable_group));
+    if !in_full && reasons.len() > 1 {
+        let unplayed = record_queries::skipped_scenarios(record).len();
+        let expectations = groups.iter().map(|group| group.expectations).sum();
+        let parts = [(unplayed, "scenario"), (expectations, "expectation")].into_iter();
+        let parts: Vec<_> =
+            parts.filter(|(number, _)| *number > 0).map(|(number, one)| format::count(number, one)).collect();
+        reasons = vec![format!("{}; -v lists the reasons", parts.join(" and "))];
     }
-    for group in record_queries::not_applicable_groups(record) {
-        style.write_wrapped(text, "not applicable: ", "  ", &format::not_applicable_group(&group));
-    }
-}
-
-/// Counts the scenarios of each reason, the most frequent reason first.
-fn write_reasons_not_applicable(text: &mut String, reasons: &[&str], style: Style) {
-    let all = || reasons.iter().copied();
-    let mut counts: Vec<_> =
-        format::distinct(all()).into_iter().map(|reason| (reason, all().filter(|it| *it == reason).count())).collect();
-    counts.sort_by_key(|(_, scenarios)| std::cmp::Reverse(*scenarios));
-    let (listed, others) = counts.split_at(counts.len().min(MAX_LISTED));
-    for (reason, scenarios) in listed {
-        let scenarios = format::count(*scenarios, "scenario");
-        style.write_wrapped(text, "not applicable: ", "  ", &format!("{scenarios}, listed with -v: {reason}"));
-    }
-    if !others.is_empty() {
-        let scenarios = format::count(others.iter().map(|(_, scenarios)| scenarios).sum(), "more scenario");
-        let _ = writeln!(text, "not applicable: {scenarios}, listed with -v");
+    for reason in reasons {
+        style.write_wrapped(text, "not applicable: ", "  ", &reason);
     }
 }
 
@@ -298,16 +299,16 @@ fn write_tight_steps(text: &mut String, record: &RunRecord, style: Style, in_ful
     }
 }
 
-fn write_sign_symptoms(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    let all: Vec<_> = record_queries::sign_symptoms(record).collect();
+fn write_symptoms(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
+    let all: Vec<_> = record_queries::symptoms(record).collect();
     let listed = if in_full { all.len() } else { MAX_LISTED };
     for (scenario, trial, symptom) in all.iter().take(listed) {
-        let warning = format!("{}: {}", scenario.file, format::sign_symptom(scenario, *trial, *symptom));
+        let warning = format!("{}: {}", scenario.file, format::symptom(scenario, *trial, *symptom));
         style.write_wrapped(text, "warning: ", "  ", &warning);
     }
     if all.len() > listed {
         let further = format::count(all.len() - listed, "more scenario");
-        let _ = writeln!(text, "warning: {further} with a wrong sign of a loop, listed with -v");
+        let _ = writeln!(text, "warning: {further} with a likely cause, listed with -v");
     }
 }
 
@@ -353,18 +354,6 @@ fn write_list_of_not_passed(text: &mut String, record: &RunRecord, style: Style,
     }
     for group in &groups {
         write_group(text, group, style, in_full);
-    }
-    if record_queries::is_late_in_real_time(record) {
-        let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period; with \
-                    --clock lockstep time waits for each answer";
-        style.write_wrapped(text, "hint: ", "  ", hint);
-    }
-    if let Some(delay_ms) = record_queries::server_delay_ms(record) {
-        let hint = format!(
-            "every answer takes about {delay_ms:.1} ms, as behind a ser2net that collects characters, at any baud rate: \
-             set `chardelay: false` in its connection"
-        );
-        style.write_wrapped(text, "hint: ", "  ", &hint);
     }
 }
 

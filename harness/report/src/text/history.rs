@@ -70,6 +70,12 @@ impl RunHistory {
         points
     }
 
+    /// True if the last comparable run passed the expectation.
+    pub(crate) fn is_new(&self, record: &RunRecord, scenario: &ScenarioRecord, index: usize) -> bool {
+        let known = self.comparable(record, scenario, index).map(|(known, _)| known).unwrap_or_default();
+        known.first().is_some_and(|then| then.expectation.verdict == Verdict::Pass)
+    }
+
     /// `None` if earlier runs were not searched.
     pub(crate) fn not_passed_since(
         &self,

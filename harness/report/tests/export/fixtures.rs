@@ -63,7 +63,7 @@ pub(crate) fn write_trial(folder: &Path, scenario: &str, index: u32, rows: &[Row
         telemetry: Telemetry::default(),
         cause: None,
         reason: None,
-        sign_symptom: None,
+        symptom: None,
         diverged_at_s: None,
         wall_ms: None,
     }

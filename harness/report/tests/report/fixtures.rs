@@ -173,7 +173,7 @@ pub(crate) fn trial(file: &str, index: u32, metrics: &[(&str, Value)]) -> TrialR
         reason: None,
         sha256: Some("00".repeat(32)),
         telemetry: Telemetry::default(),
-        sign_symptom: None,
+        symptom: None,
         diverged_at_s: None,
         wall_ms: Some(12.5),
     }

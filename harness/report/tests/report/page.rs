@@ -3,7 +3,7 @@
 use crate::fixtures::{self, Response, closed_loop, open_loop};
 use crate::page_text::{assert_balanced, page_text, section, strip_elements};
 use platebench_model::record::{
-    ExpectationRecord, Reason, RunRecord, ScenarioRecord, SignSymptom, Statistic, TrialFinding, TrialRecord,
+    ExpectationRecord, LoopSymptom, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord,
     UndefinedValue, Verdict,
 };
 use platebench_model::trace::{Flags, TraceWriter};
@@ -38,7 +38,7 @@ fn the_first_screen_names_a_wrong_sign() {
     let with_symptom = |mut record: RunRecord| {
         let verdict = record.verdict;
         let scenario = record.scenarios.iter_mut().find(|scenario| scenario.verdict == verdict).unwrap();
-        scenario.trials[0].sign_symptom = Some(SignSymptom::NoDrive);
+        scenario.trials[0].symptom = Some(LoopSymptom::NoDrive);
         write_page(&record, folder.path())
     };
     let failed = with_symptom(fixtures::run_with_traces(folder.path()));

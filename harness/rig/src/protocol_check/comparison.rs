@@ -4,8 +4,8 @@
 use crate::compared_link::{FREQUENCY_TOLERANCE_MHZ, command_difference};
 use crate::handshake::HELLO_NUMBER;
 use platebench_wire::{
-    Command, Configure, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, Sample, StateCause,
-    flags,
+    Command, Configure, Configured, ControllerState, Gains, Identity, LawId, Message, Packet, PacketReader, Sample,
+    StateCause, flags,
 };
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -237,7 +237,7 @@ impl<'a> Comparison<'a> {
                     other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
             }
             if !self.is_equal(answer, expected) {
-                let text = format!("{}, expected {}", show(answer), show(expected));
+                let text = describe(answer, expected);
                 let other_cause = (answer.sequence != expected.sequence).then_some(BenchCause::NoAnswer);
                 return Err(CommandDifference { text, other_cause });
             }
@@ -453,12 +453,31 @@ fn are_close(one: Gains, other: Gains, tolerance: f32) -> bool {
     numbers(one).into_iter().zip(numbers(other)).all(|(one, other)| (one - other).abs() <= tolerance * other.abs())
 }
 
+/// Section of the page of the protocol that says which configurations a controller accepts.
+const ACCEPTED_CONFIGURATIONS: &str = "docs/wire-protocol.md, 4 configured";
+
+/// Gains matter only if both answers contain some.
+fn describe(answer: &Packet, expected: &Packet) -> String {
+    match (&answer.message, &expected.message) {
+        (
+            Message::Configured(Configured { outcome: Ok(own) }),
+            Message::Configured(Configured { outcome: Ok(gains) }),
+        ) => {
+            format!("accepted with the gains {:?}, expected {:?}", numbers(*own), numbers(*gains))
+        }
+        (Message::Configured(_), Message::Configured(_)) => {
+            format!("{}, expected {} ({ACCEPTED_CONFIGURATIONS})", show(answer), show(expected))
+        }
+        _ => format!("{}, expected {}", show(answer), show(expected)),
+    }
+}
+
 fn show(packet: &Packet) -> String {
     match &packet.message {
         Message::Command(command) => show_command(packet.sequence, command),
         Message::Configured(configured) => match configured.outcome {
-            Ok(gains) => format!("accepted with {gains:?}"),
-            Err(rejection) => format!("rejected as {rejection:?}"),
+            Ok(_) => "configuration accepted".to_owned(),
+            Err(rejection) => format!("configuration rejected ({})", rejection as u8),
         },
         Message::Identity(_) => "identity".to_owned(),
         other => format!("{other:?}"),

@@ -40,6 +40,8 @@ pub(super) fn scripts(base: &Configure, identity: &Identity, seed: u64, own_law:
         start("invalid messages with a valid CRC", invalid_bodies()),
         start("the watchdog with its own timeout", watchdog(fixed)),
         Script { stall: SHORT_STALL, ..start("a watchdog of five short periods", short_watchdog(fixed)) },
+        start("a watchdog near its timeout, with other periods", near_watchdog(fixed)),
+        Script::new("configurations that differ in one figure", figures(own_design)),
         many_samples(fixed),
         start("frames in two pieces", pieces()),
         start("configurations that are rejected as messages", invalid_configurations(fixed)),
@@ -322,6 +324,48 @@ fn watchdog(configure: Configure) -> Vec<Step> {
     ]
 }
 
+/// A timeout that is 20 % short, or that counts periods instead of milliseconds, stops after the first
+/// wait or not after the second one.
+fn near_watchdog(configure: Configure) -> Vec<Step> {
+    let with = |period_us, watchdog_timeout_ms, wait| {
+        let configure = Configure { period_us, watchdog_timeout_ms, ..configure };
+        [Setup(configure), Sample(2.0, 0.0, 0.0), Wait(wait), Sample(2.0, 1.2, -0.2)]
+    };
+    [with(500, 600, 510), with(4_000, 150, 300)].concat()
+}
+
+/// Each configuration follows one that differs in one figure, and then one that differs in all. The
+/// same samples must give the same commands.
+fn figures(base: Configure) -> Vec<Step> {
+    let other = Configure {
+        period_us: 2_000,
+        start_frequency_mhz: 32_200_000,
+        gain_um_per_vpp: 1.3 * base.gain_um_per_vpp,
+        time_constant_s: 1.4 * base.time_constant_s,
+        response_time_s: 0.004,
+        drive_limit_vpp: 0.7 * base.drive_limit_vpp,
+        frequency_range_hz: 0.5 * base.frequency_range_hz,
+        frequency_slew_hz: 0.6 * base.frequency_slew_hz,
+        ..base
+    };
+    let changed = [
+        Configure { period_us: other.period_us, ..base },
+        Configure { start_frequency_mhz: other.start_frequency_mhz, ..base },
+        Configure { gain_um_per_vpp: other.gain_um_per_vpp, ..base },
+        Configure { time_constant_s: other.time_constant_s, ..base },
+        Configure { response_time_s: other.response_time_s, ..base },
+        Configure { drive_limit_vpp: other.drive_limit_vpp, ..base },
+        Configure { frequency_range_hz: other.frequency_range_hz, ..base },
+        Configure { frequency_slew_hz: other.frequency_slew_hz, ..base },
+        Configure { gains: Some(CONFIGURED_GAINS), ..base },
+    ];
+    let play = |configure| {
+        let samples = [Sample(2.0, 1.7, 1.2), Sample(2.0, 1.9, -0.9), Sample(2.0, 1.97, 0.02), Sample(0.5, 0.45, 0.0)];
+        [Setup(configure)].into_iter().chain(samples)
+    };
+    changed.into_iter().flat_map(|changed| [base, changed, other, changed]).flat_map(play).collect()
+}
+
 /// Tests a watchdog timeout of five periods of 300 µs, which is not a whole number of milliseconds.
 fn short_watchdog(configure: Configure) -> Vec<Step> {
     let configure = Configure { period_us: 300, watchdog_timeout_ms: 0, ..configure };
@@ -440,13 +484,21 @@ fn unusable(base: &Configure, identity: &Identity, own_law: bool) -> Vec<Configu
         Configure { start_frequency_mhz: 0, ..*base },
         Configure { response_time_s: -0.001, ..*base },
         Configure { response_time_s: f32::INFINITY, ..*base },
+        Configure { response_time_s: f32::NAN, ..*base },
     ];
     // An own law may use configured gains or ignore them.
     if !own_law {
         all.extend([
             Configure { gains: Some(Gains { amplitude_kp: f32::NAN, ..gains }), ..*base },
+            Configure { gains: Some(Gains { amplitude_ki: f32::NAN, ..gains }), ..*base },
+            Configure { gains: Some(Gains { frequency_kp: f32::NAN, ..gains }), ..*base },
+            Configure { gains: Some(Gains { frequency_ki: f32::NAN, ..gains }), ..*base },
             Configure { gains: Some(Gains { frequency_ki: f32::INFINITY, ..gains }), ..*base },
         ]);
+    }
+    // One unit beyond the border between two fields.
+    if identity.has_capability(capabilities::LOOP_DELAY) {
+        all.push(Configure { loop_delay_us: base.period_us + 1, ..*base });
     }
     if !identity.has_capability(capabilities::OWN_PLATE) {
         all.push(Configure { drives_own_plate: true, ..*base });

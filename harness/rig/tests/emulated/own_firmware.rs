@@ -192,6 +192,21 @@ fn reports_a_trap_of_the_start_after_the_vector_table_has_moved() {
     assert!(message.contains("HardFault, undefined instruction, at") && message.contains("in trap"), "{message}");
 }
 
+#[test]
+fn names_the_length_of_a_command_that_is_too_long() {
+    let longer = ("protocol.c", "    to = put(to, command->step_us, 2);", "    to = put(to, command->step_us, 4);");
+    let planted = "#include \"protocol.h\"\nvoid planted(const struct message *message);\n\
+                   void planted(const struct message *message) { (void)message; }\n";
+    let Some(elf) = build(planted, &[TRIGGER, longer]) else { return };
+    let mut session = Session::open(EmulatedLink::new(&elf, EmulatedOptions::default()).unwrap()).unwrap();
+    session.start_trial(&CONFIGURE).unwrap();
+    let error = session.send_sample(Duration::ZERO, &sample(2.0, 0.0)).unwrap_err().to_string();
+    assert!(
+        error.contains("a frame of 26 bytes was rejected, expected 24 bytes: a body of 20 instead of 18"),
+        "{error}"
+    );
+}
+
 /// A main loop without sleep counts the instructions of the step, not those of the transmission.
 #[test]
 fn counts_no_instructions_of_idle_spinning() {

@@ -84,7 +84,7 @@ fn trial_measures(index: u32, measures: &[Measure]) -> TrialMeasures {
         worst: vec![None; measures.len()],
         excuses: vec![None; measures.len()],
         divergence: None,
-        sign_symptom: None,
+        symptom: None,
         exclusion: None,
         is_real_plate: false,
     }

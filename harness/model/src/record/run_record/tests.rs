@@ -86,7 +86,7 @@ pub(crate) fn record() -> RunRecord {
         reason: Some(TrialReason::Excluded(Exclusion::LateBench { count: 1, first_ms: 3.0 })),
         sha256: None,
         telemetry: Telemetry::default(),
-        sign_symptom: None,
+        symptom: None,
         diverged_at_s: None,
         wall_ms: Some(12.5),
     };

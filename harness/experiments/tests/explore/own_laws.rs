@@ -1,0 +1,287 @@
+//! Tests the exploration of laws of the controller's own: correct ones fail nothing, and each property
+//! finds a fault.
+
+use crate::fixtures::configuration;
+use platebench_engine::SafeEnds;
+use platebench_experiments::explore::exploration::Exploration;
+use platebench_experiments::explore::sequence::SequenceLimits;
+use platebench_experiments::explore::{ExploreConfig, ExploredLaw, OwnLaw, Property, explore, measure_own_law};
+use platebench_experiments::trust::{Mutant, MutantController};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Session};
+use platebench_wire::{Configure, ControllerState, Gains, LawId, Message, Packet};
+use rstest::rstest;
+
+/// What a fault remembers.
+#[derive(Default)]
+struct Memory {
+    configurations: u32,
+    samples: u32,
+    setpoint_um: f32,
+    drive_vpp: f32,
+    remaining: u32,
+}
+
+type Fault = fn(&mut Memory, &mut Message);
+
+/// The hosted controller as one that announces no law. It ignores number and gains of the
+/// configuration.
+struct OwnController {
+    law: LawId,
+    response_s: f32,
+    gains: Option<fn(&Configure) -> Gains>,
+    /// Steps of setpoint and components, µm, and of the drive, Vpp; 0 for none.
+    steps: [f32; 2],
+    fault: Fault,
+    memory: Memory,
+}
+
+const NO_GAINS: Gains = Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
+
+fn to_step(value: &mut f32, step: f32) {
+    if step > 0.0 && value.is_finite() {
+        *value = (*value / step).floor() * step;
+    }
+}
+
+impl Mutant for OwnController {
+    fn on_receive(&mut self, packet: &mut Packet) {
+        match &mut packet.message {
+            Message::Configure(configure) => {
+                self.memory.configurations += 1;
+                let kept = (self.memory.configurations, self.memory.setpoint_um);
+                self.memory = Memory { configurations: kept.0, ..Memory::default() };
+                configure.law = self.law;
+                configure.gains = None;
+                if configure.response_time_s == 0.0 {
+                    configure.response_time_s = self.response_s;
+                }
+                let is_usable = configure.gain_um_per_vpp > 0.0 && configure.period_us > 0;
+                configure.gains = self.gains.filter(|_| is_usable).map(|gains| gains(configure));
+            }
+            Message::Sample(sample) => {
+                for value in [&mut sample.setpoint_um, &mut sample.wd_um, &mut sample.wq_um] {
+                    to_step(value, self.steps[0]);
+                }
+            }
+            _ => {}
+        }
+        (self.fault)(&mut self.memory, &mut packet.message);
+        if let Message::Sample(sample) = &packet.message {
+            self.memory.samples += 1;
+            self.memory.setpoint_um = sample.setpoint_um;
+        }
+    }
+
+    fn on_send(&mut self, packet: &mut Packet) {
+        match &mut packet.message {
+            Message::Identity(identity) => identity.laws = 0,
+            Message::Configured(configured) => configured.outcome = configured.outcome.map(|_| NO_GAINS),
+            Message::Command(command) if command.flags & 1 == 0 => to_step(&mut command.drive_vpp, self.steps[1]),
+            _ => {}
+        }
+        (self.fault)(&mut self.memory, &mut packet.message);
+        if let Message::Command(command) = &packet.message {
+            self.memory.drive_vpp = command.drive_vpp;
+        }
+    }
+}
+
+fn no_fault(_: &mut Memory, _: &mut Message) {}
+
+fn own(law: LawId, response_ms: f32) -> OwnController {
+    let response_s = response_ms * 1e-3;
+    OwnController { law, response_s, gains: None, steps: [0.0; 2], fault: no_fault, memory: Memory::default() }
+}
+
+/// Two real poles of the amplitude and of the frequency loop on the plate without a finger.
+fn integral_only(configure: &Configure) -> Gains {
+    let ki = 0.25 / configure.time_constant_s;
+    let amplitude_ki = ki / configure.gain_um_per_vpp;
+    Gains { amplitude_ki, frequency_ki: ki / configure.time_constant_s, ..NO_GAINS }
+}
+
+const CORRECT: [(&str, fn() -> Box<dyn Mutant>); 10] = [
+    ("adaptive", || Box::new(own(LawId::DqPi, 0.0))),
+    ("fixed", || Box::new(own(LawId::DqPiFixed, 0.0))),
+    ("adaptive, slow", || Box::new(own(LawId::DqPi, 8.0))),
+    ("adaptive, fast", || Box::new(own(LawId::DqPi, 1.2))),
+    ("fixed, slow", || Box::new(own(LawId::DqPiFixed, 8.0))),
+    ("fixed, fast", || Box::new(own(LawId::DqPiFixed, 1.2))),
+    ("deadbeat", || Box::new(own(LawId::Deadbeat, 0.0))),
+    ("integral", || Box::new(OwnController { gains: Some(integral_only), ..own(LawId::DqPiFixed, 0.0) })),
+    ("fixed point", || Box::new(OwnController { steps: [1e-4, 0.0625], ..own(LawId::DqPi, 0.0) })),
+    ("fixed point, fixed", || Box::new(OwnController { steps: [1e-4, 0.0625], ..own(LawId::DqPiFixed, 0.0) })),
+];
+
+struct Played {
+    own: OwnLaw,
+    exploration: Exploration,
+}
+
+fn play(build: fn() -> Box<dyn Mutant>, seed: u64, scenes: u64) -> Played {
+    let connect =
+        || -> Result<BoxedLink, ConnectError> { Ok(Box::new(MutantController::new(HostedLink::new(), build))) };
+    let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
+    let identity = *Session::open(connect().unwrap()).unwrap().identity();
+    let config = configuration(ExploredLaw::Own(OwnLaw::default()), scenes);
+    let own = measure_own_law(&config.envelope, &connect, false, &cancel, &ends).unwrap().unwrap();
+    let config = ExploreConfig {
+        seed,
+        law: ExploredLaw::Own(own),
+        laws: Vec::new(),
+        max_failed: u64::MAX,
+        sequences: Some(SequenceLimits::new(&identity, false, true, 2_000)),
+        ..config
+    };
+    let exploration = explore(&config, &connect, &cancel, &ends, &mut |_, _| {}).unwrap();
+    Played { own, exploration }
+}
+
+fn alarms(build: fn() -> Box<dyn Mutant>, seed: u64, scenes: u64) -> Vec<String> {
+    let Played { exploration, own } = play(build, seed, scenes);
+    assert_eq!(exploration.scenes, scenes);
+    let scenes = exploration.failed.iter().map(|scene| format!("{own:?}, scene {}: {:?}", scene.index, scene.failures));
+    let sequences = exploration.failed_sequences.iter();
+    scenes.chain(sequences.map(|sequence| format!("sequence {}: {}", sequence.index, sequence.text))).collect()
+}
+
+#[test]
+fn correct_own_laws_fail_nothing() {
+    for (name, build) in CORRECT {
+        assert_eq!(alarms(build, 5, 30), [""; 0], "{name}");
+    }
+}
+
+#[test]
+#[ignore = "minutes; docs/trust.md contains the result"]
+fn correct_own_laws_fail_nothing_in_3000_scenes() {
+    for (name, build) in CORRECT {
+        assert_eq!(alarms(build, 53_000, 300), [""; 0], "{name}");
+    }
+}
+
+fn on_command(message: &mut Message, change: impl FnOnce(&mut f32)) {
+    if let Message::Command(command) = message
+        && command.state == ControllerState::Running
+    {
+        change(&mut command.drive_vpp);
+    }
+}
+
+fn creeps_at_some_levels(memory: &mut Memory, message: &mut Message) {
+    let (is_slow, last) = ((1.2..1.7).contains(&memory.setpoint_um), memory.drive_vpp);
+    on_command(message, |drive| *drive = if is_slow { drive.min(last + 2.0) } else { *drive });
+}
+
+fn kicks_after_a_step_up(memory: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message
+        && memory.setpoint_um > 0.0
+        && sample.setpoint_um > memory.setpoint_um
+    {
+        memory.remaining = 4;
+    }
+    let is_kicked = memory.remaining > 0;
+    on_command(message, |drive| *drive = if is_kicked { drive.max(390.0) } else { *drive });
+    if matches!(message, Message::Command(_)) {
+        memory.remaining = memory.remaining.saturating_sub(1);
+    }
+}
+
+fn wrong_table_entry(_: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message
+        && (1.2..1.7).contains(&sample.setpoint_um)
+    {
+        sample.setpoint_um *= 1.03;
+    }
+}
+
+fn alternates(memory: &mut Memory, message: &mut Message) {
+    let factor = if memory.samples % 2 == 0 { 1.04 } else { 0.96 };
+    on_command(message, |drive| *drive = (*drive * factor).min(400.0));
+}
+
+fn detector_with_an_offset(_: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message {
+        sample.wq_um += 0.04 * sample.wd_um;
+    }
+}
+
+fn drives_at_rest(memory: &mut Memory, message: &mut Message) {
+    let is_rest = memory.setpoint_um == 0.0;
+    on_command(message, |drive| *drive = if is_rest { drive.max(10.0) } else { *drive });
+}
+
+/// Holds the drive for a while after the amplitude has left the setpoint.
+fn misses_a_disturbance(memory: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message
+        && sample.setpoint_um == memory.setpoint_um
+        && memory.remaining == 0
+        && memory.samples > 15
+        && (sample.wd_um / sample.setpoint_um - 1.0).abs() > 0.06
+    {
+        memory.remaining = 300;
+    }
+    let (is_held, last) = (memory.remaining > 0, memory.drive_vpp);
+    on_command(message, |drive| *drive = if is_held { last } else { *drive });
+    if matches!(message, Message::Command(_)) {
+        memory.remaining = memory.remaining.saturating_sub(1);
+    }
+}
+
+fn remembers_configurations(memory: &mut Memory, message: &mut Message) {
+    let offset = memory.configurations as f32 * 0.01;
+    on_command(message, |drive| *drive = if *drive > offset { *drive - offset } else { *drive });
+}
+
+fn clamps_at_300_vpp(_: &mut Memory, message: &mut Message) {
+    on_command(message, |drive| *drive = drive.min(300.0));
+}
+
+fn gain_depends_on_the_sign(_: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message
+        && sample.wq_um > 0.0
+    {
+        sample.wq_um *= 0.5;
+    }
+}
+
+fn exceeds_the_limit(memory: &mut Memory, message: &mut Message) {
+    let is_high = memory.setpoint_um > 2.0;
+    on_command(message, |drive| *drive = if is_high { *drive + 900.0 } else { *drive });
+}
+
+fn flags_in_a_stop(_: &mut Memory, message: &mut Message) {
+    if let Message::Command(command) = message
+        && command.state == ControllerState::Safe
+    {
+        command.flags = 1;
+    }
+}
+
+fn with(fault: Fault) -> Box<dyn Mutant> {
+    Box::new(OwnController { fault, ..own(LawId::DqPi, 0.0) })
+}
+
+#[rstest]
+#[case::settling(|| with(creeps_at_some_levels), Property::Settling)]
+#[case::overshoot(|| with(kicks_after_a_step_up), Property::Overshoot)]
+#[case::static_error(|| with(wrong_table_entry), Property::StaticError)]
+#[case::ripple(|| with(alternates), Property::Ripple)]
+#[case::frequency(|| with(detector_with_an_offset), Property::Frequency)]
+#[case::rest(|| with(drives_at_rest), Property::RestDrive)]
+#[case::recovery(|| with(misses_a_disturbance), Property::Recovery)]
+#[case::memory(|| with(remembers_configurations), Property::SameResponse)]
+#[case::proportion(|| with(clamps_at_300_vpp), Property::ProportionalResponse)]
+#[case::mirror(|| with(gain_depends_on_the_sign), Property::MirroredResponse)]
+#[case::protocol(|| with(exceeds_the_limit), Property::Protocol)]
+#[case::answers(|| with(flags_in_a_stop), Property::Answers)]
+fn a_property_finds_a_fault_of_an_own_law(#[case] build: fn() -> Box<dyn Mutant>, #[case] property: Property) {
+    let Played { exploration, .. } = play(build, 7, 60);
+    let scenes = exploration.failed.iter().flat_map(|scene| &scene.failures).map(|failure| failure.property);
+    let sequences = exploration.failed_sequences.iter().flat_map(|sequence| sequence.properties.iter().copied());
+    let mut found: Vec<_> = scenes.chain(sequences).collect();
+    found.sort_unstable();
+    found.dedup();
+    assert!(found.contains(&property), "{found:?}");
+    println!("{property}: {found:?}");
+}
