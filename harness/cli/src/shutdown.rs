@@ -10,7 +10,7 @@
 use crate::exit::{Exit, Failure};
 use crate::stdio;
 use crossterm::terminal::disable_raw_mode;
-use platebench_engine::CancelToken;
+use platebench_engine::{CancelToken, RunError};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, PidfdFlags, Signal as SignalName, getpid, kill_process, pidfd_open};
 use std::future::poll_fn;
@@ -180,11 +180,32 @@ impl Drop for BusyGuard {
     }
 }
 
-pub(crate) enum WorkResult<T> {
-    /// Result of the work, and the first signal that came before the work ended.
-    Finished(T, Option<u8>),
-    Abandoned(u8),
+/// Why work has no result.
+#[derive(Debug)]
+pub(crate) enum Interruption {
+    /// The second signal came before the work ended.
+    Abandoned,
+    /// The work panicked, or its thread could not be started.
+    Defect(io::Error),
 }
+
+impl From<io::Error> for Interruption {
+    fn from(error: io::Error) -> Self {
+        Self::Defect(error)
+    }
+}
+
+impl From<Interruption> for RunError {
+    fn from(interruption: Interruption) -> Self {
+        match interruption {
+            Interruption::Abandoned => Self::Cancelled,
+            Interruption::Defect(error) => Self::Internal(error.to_string()),
+        }
+    }
+}
+
+/// Result of work, and the first signal that came before its end.
+pub(crate) type WorkEnd<T> = (Result<T, Interruption>, Option<u8>);
 
 pub(crate) struct EventSender<E> {
     sender: SyncSender<E>,
@@ -206,12 +227,23 @@ impl<E> EventSender<E> {
 }
 
 /// Runs `work` on its own thread until it returns, and passes its events to `on_event` on the
-/// calling thread. A signal or the end of `max_duration` cancels the work. Fails if `work` panics.
+/// calling thread. A signal or the end of `max_duration` cancels the work.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     max_duration: Option<Duration>,
     work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
+    on_event: impl FnMut(E),
+) -> WorkEnd<T> {
+    let result = run_work(max_duration, work, on_event);
+    // A late signal is not the first one.
+    let signal = if matches!(result, Err(Interruption::Abandoned)) { State::lock().late_signal } else { None };
+    (result, signal.or_else(received_signal))
+}
+
+fn run_work<T: Send + 'static, E: Send + 'static>(
+    max_duration: Option<Duration>,
+    work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
     mut on_event: impl FnMut(E),
-) -> io::Result<WorkResult<T>> {
+) -> Result<T, Interruption> {
     listen()?;
     let cancel = CancelToken::default();
     let (sender, events) = sync_channel(MAX_QUEUED_EVENTS);
@@ -228,12 +260,11 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
             Ok(event) => on_event(event),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                let result = worker.join().map_err(|_| io::Error::other("a thread of the bench panicked"))?;
-                return Ok(WorkResult::Finished(result, received_signal()));
+                return worker.join().map_err(|_| io::Error::other("a thread of the bench panicked").into());
             }
         }
-        if let Some(number) = State::lock().late_signal {
-            return Ok(WorkResult::Abandoned(number));
+        if State::lock().late_signal.is_some() {
+            return Err(Interruption::Abandoned);
         }
         if max_duration.is_some_and(|longest| started.elapsed() > longest) {
             cancel.cancel();
@@ -261,11 +292,11 @@ pub(crate) fn run_unless_signalled<T: Send + 'static>(
     }
 }
 
-pub(crate) fn unless_signalled<T, F: Into<Failure>>(ended: io::Result<WorkResult<Result<T, F>>>) -> Result<T, Failure> {
-    match ended {
-        Ok(WorkResult::Finished(result, None)) => result.map_err(Into::into),
-        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Err(Exit::Signal(signal).into()),
-        Err(error) => Err(Failure::new(Exit::Inconclusive, &error)),
+pub(crate) fn unless_signalled<T, F: Into<Failure>>((result, signal): WorkEnd<Result<T, F>>) -> Result<T, Failure> {
+    match (result, signal) {
+        (Err(Interruption::Defect(error)), _) => Err(Failure::new(Exit::Inconclusive, &error)),
+        (Ok(result), None) => result.map_err(Into::into),
+        (_, signal) => Err(Exit::Signal(signal.unwrap_or_default()).into()),
     }
 }
 
