@@ -134,7 +134,7 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
     };
     let (result, signal) = run_until_signal(None, session, |()| {});
     view.close();
-    let result = result.map_err(|interruption| RunError::from(interruption).into()).flatten();
+    let result = result.map_err(AcceptError::from).flatten();
     let mut end = BoardOutcome::of_runs_below(&folder, &started);
     if let Err(AcceptError::Run(RunError::DifferentController { .. })) = &result {
         end.quarantine = result.as_ref().err().map(ToString::to_string);

@@ -80,7 +80,7 @@ pub(crate) fn run_plan(
     };
     let (result, signal) = run_until_signal(None, run, |event| sinks.send(event));
     sinks.progress.finish();
-    result.map_err(RunError::from).flatten().map_err(|error| (error, signal))
+    result.flatten().map_err(|error| (error, signal))
 }
 
 pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";

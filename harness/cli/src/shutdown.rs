@@ -180,32 +180,9 @@ impl Drop for BusyGuard {
     }
 }
 
-/// Why work has no result.
-#[derive(Debug)]
-pub(crate) enum Interruption {
-    /// The second signal came before the work ended.
-    Abandoned,
-    /// The work panicked, or its thread could not be started.
-    Defect(io::Error),
-}
-
-impl From<io::Error> for Interruption {
-    fn from(error: io::Error) -> Self {
-        Self::Defect(error)
-    }
-}
-
-impl From<Interruption> for RunError {
-    fn from(interruption: Interruption) -> Self {
-        match interruption {
-            Interruption::Abandoned => Self::Cancelled,
-            Interruption::Defect(error) => Self::Internal(error.to_string()),
-        }
-    }
-}
-
-/// Result of work, and the first signal that came before its end.
-pub(crate) type WorkEnd<T> = (Result<T, Interruption>, Option<u8>);
+/// Result of work, and the first signal that came before its end. The error is `Cancelled` if a late
+/// signal abandoned the work, and `Internal` if it panicked.
+pub(crate) type WorkEnd<T> = (Result<T, RunError>, Option<u8>);
 
 pub(crate) struct EventSender<E> {
     sender: SyncSender<E>,
@@ -235,16 +212,17 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
 ) -> WorkEnd<T> {
     let result = run_work(max_duration, work, on_event);
     // A late signal is not the first one.
-    let signal = if matches!(result, Err(Interruption::Abandoned)) { State::lock().late_signal } else { None };
-    (result, signal.or_else(received_signal))
+    let late = State::lock().late_signal.filter(|_| matches!(result, Err(RunError::Cancelled)));
+    (result, late.or_else(received_signal))
 }
 
 fn run_work<T: Send + 'static, E: Send + 'static>(
     max_duration: Option<Duration>,
     work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
     mut on_event: impl FnMut(E),
-) -> Result<T, Interruption> {
-    listen()?;
+) -> Result<T, RunError> {
+    let defect = |error: io::Error| RunError::Internal(error.to_string());
+    listen().map_err(defect)?;
     let cancel = CancelToken::default();
     let (sender, events) = sync_channel(MAX_QUEUED_EVENTS);
     let busy = BusyGuard::new(&cancel);
@@ -253,18 +231,19 @@ fn run_work<T: Send + 'static, E: Send + 'static>(
         let result = work(&sender.cancel.clone(), &mut sender);
         drop(busy);
         result
-    })?;
+    });
+    let worker = worker.map_err(defect)?;
     let started = Instant::now();
     loop {
         match events.recv_timeout(POLL_INTERVAL) {
             Ok(event) => on_event(event),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                return worker.join().map_err(|_| io::Error::other("a thread of the bench panicked").into());
+                return worker.join().map_err(|_| RunError::Internal("a thread of the bench panicked".to_owned()));
             }
         }
         if State::lock().late_signal.is_some() {
-            return Err(Interruption::Abandoned);
+            return Err(RunError::Cancelled);
         }
         if max_duration.is_some_and(|longest| started.elapsed() > longest) {
             cancel.cancel();
@@ -294,9 +273,9 @@ pub(crate) fn run_unless_signalled<T: Send + 'static>(
 
 pub(crate) fn unless_signalled<T, F: Into<Failure>>((result, signal): WorkEnd<Result<T, F>>) -> Result<T, Failure> {
     match (result, signal) {
-        (Err(Interruption::Defect(error)), _) => Err(Failure::new(Exit::Inconclusive, &error)),
-        (Ok(result), None) => result.map_err(Into::into),
-        (_, signal) => Err(Exit::Signal(signal.unwrap_or_default()).into()),
+        (Err(error @ RunError::Internal(_)), _) => Err(error.into()),
+        (_, Some(signal)) => Err(Exit::Signal(signal).into()),
+        (result, None) => result?.map_err(Into::into),
     }
 }
 

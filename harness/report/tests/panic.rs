@@ -1,7 +1,6 @@
 use platebench_engine::{Clock, LiveTap, RunPlan};
 use platebench_model::record::Overrides;
 use platebench_report::live::{LiveView, RunDescription};
-use platebench_rig::RigSpec;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};
@@ -21,7 +20,7 @@ fn panics_on_purpose() {
         command: "run",
         key_help: "",
         plan: Arc::new(RunPlan::new(
-            &RigSpec::hosted(),
+            &"hosted".parse().unwrap(),
             Clock::Lockstep { wire_time: false },
             1,
             Vec::new(),
