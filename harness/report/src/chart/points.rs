@@ -225,9 +225,13 @@ mod tests {
         let circles: Vec<&str> = svg.split("<circle").skip(1).filter_map(|rest| rest.split('>').next()).collect();
         let count = |class: &str| circles.iter().filter(|circle| circle.contains(class)).count();
         assert_eq!((count("class=\"f-series"), count("class=\"s-series")), (10, 7));
-        let lowest =
-            svg.split(" cy=\"").skip(1).map(|rest| rest.split('"').next().unwrap().parse::<i32>().unwrap()).max();
-        assert!(f64::from(lowest.unwrap()) < 4.0 * (LOGLOG_SIZE.1 - LOGLOG_LINE_HEIGHT / 2.0), "{lowest:?}");
+        let numbers = |name: &str| {
+            let values = svg.split(name).skip(1).filter_map(|rest| rest.split('"').next());
+            values.map(|value| value.parse::<f64>().unwrap()).collect::<Vec<_>>()
+        };
+        let height = svg.split("viewBox=\"").nth(1).and_then(|rest| rest.split(['"', ' ']).nth(3)).unwrap();
+        let lowest = numbers(" cy=\"").into_iter().fold(0.0, f64::max);
+        assert!(lowest < height.parse::<f64>().unwrap(), "{lowest} {height}");
     }
 
     #[test]
