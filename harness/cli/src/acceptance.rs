@@ -5,7 +5,7 @@ use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{ClockArg, ClockRequest, OutputFormat, PacingArg, check_line_speed, job_count, parse_time_scale};
 use crate::prompt::TerminalOperator;
 use crate::run_plan::SessionView;
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, run_until_signal};
 use crate::stdio;
 use clap::{Args, Subcommand};
 use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunPlan};
@@ -132,13 +132,9 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
     let session = move |cancel: &CancelToken, _: &mut EventSender<()>| {
         play_session(&config, &mut SessionHooks { operator: &operator, observer: &mut progress, cancel })
     };
-    let ended = run_until_signal(None, session, |()| {});
+    let (result, signal) = run_until_signal(None, session, |()| {});
     view.close();
-    let (result, signal) = match ended {
-        Ok(WorkResult::Finished(result, signal)) => (result, signal),
-        Ok(WorkResult::Abandoned(signal)) => (Err(AcceptError::Cancelled), Some(signal)),
-        Err(error) => (Err(AcceptError::Run(RunError::Internal(error.to_string()))), None),
-    };
+    let result = result.map_err(AcceptError::from).flatten();
     let mut end = BoardOutcome::of_runs_below(&folder, &earlier);
     if let Err(AcceptError::Run(RunError::DifferentController { .. })) = &result {
         end.quarantine = result.as_ref().err().map(ToString::to_string);
@@ -389,14 +385,10 @@ impl SessionObserver for SessionProgress {
         let Some(progress) = &mut self.progress else { return };
         match event {
             // The self-test measures the bench, so the scenario's verdict does not count.
-            Event::ScenarioFinished(scenario) if self.is_self_test => {
+            Event::ScenarioFinished { scenario, trials, .. } if self.is_self_test => {
                 progress.finish();
                 self.progress = Some(Progress::new(self.kind));
-                self.print(&format!(
-                    "  {} measured in {}, not judged",
-                    scenario.file,
-                    count(scenario.trial_count, "trial")
-                ));
+                self.print(&format!("  {scenario} measured in {}, not judged", count(*trials, "trial")));
             }
             event => progress.show(event),
         }

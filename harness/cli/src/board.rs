@@ -6,7 +6,7 @@ use crate::options::{
     ClockArg, ClockRequest, OutputFormat, SCENARIOS, check_line_speed, law_names, parse_number, parse_seconds,
 };
 use crate::selection::{ScenarioFilter, find_scenarios};
-use crate::shutdown::{EventSender, WorkResult, received_signal, run_until_signal};
+use crate::shutdown::{EventSender, received_signal, run_until_signal};
 use crate::{shutdown, stdio};
 use clap::{Args, Subcommand};
 use platebench_engine::{CancelToken, RunError, RunPlan, rejudge};
@@ -227,15 +227,12 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
         let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
         soak(&config, &out, &|| config.plan.clock.connect(&rig, &options), cancel)
     };
-    let (result, signal) = match run_until_signal(None, work, |()| {}) {
-        Ok(WorkResult::Finished(result, signal)) => (result, signal),
-        Ok(WorkResult::Abandoned(signal)) => {
-            release(reservation, BoardOutcome::unconfirmed())?;
-            return Ok(Exit::Signal(signal));
-        }
-        Err(error) => (Err(RunError::Internal(error.to_string())), None),
-    };
-    let (end, exit) = match result {
+    let (result, signal) = run_until_signal(None, work, |()| {});
+    if let (Err(RunError::Cancelled), Some(signal)) = (&result, signal) {
+        release(reservation, BoardOutcome::unconfirmed())?;
+        return Ok(Exit::Signal(signal));
+    }
+    let (end, exit) = match result.flatten() {
         Ok(SoakResult { record, board, error }) => {
             stdio::document(&record.document());
             let written = write_soak_page(&record, &arguments.out).err().map(Failure::report);

@@ -17,11 +17,10 @@ use platebench_experiments::trust::TrustReport;
 use platebench_lab::acceptance::SessionRecord;
 use platebench_lab::acceptance::plan::plan_schema;
 use platebench_lab::boards::{BoardStatus, RawInventory, SoakRecord};
-use platebench_model::record::RunRecord;
+use platebench_model::record::{Event, RunRecord};
 use platebench_model::scenario::schema;
 use platebench_model::trace::OutputFolder;
 use platebench_report::comparison::ScenarioComparison;
-use platebench_report::events::EventLine;
 use platebench_report::scenario_list::ScenarioList;
 use platebench_rig::RIGS;
 use platebench_verdict::replay::ReplayResult;
@@ -163,7 +162,7 @@ impl SchemaKind {
             Self::Boards => schema::schema_of::<RawInventory>("boards.toml"),
             Self::Config => schema::schema_of::<RawConfig>("platebench.toml"),
             Self::Run => schema::schema_of_json::<RunRecord>("Record of a run: run.json"),
-            Self::Events => schema::schema_of_json::<EventLine<'_>>("Event of a run: a line of run --format json"),
+            Self::Events => schema::schema_of_json::<Event>("Event of a run: a line of run --format json"),
             Self::List => schema::schema_of_json::<ScenarioList<'_>>("Scenarios: run --list --format json"),
             Self::Comparison => schema::schema_of_json::<Vec<ScenarioComparison>>("Comparison: compare --format json"),
             Self::Replay => schema::schema_of_json::<ReplayResult>("Replay of a recording: replay --format json"),

@@ -4,13 +4,15 @@ use crate::exit::Exit;
 use crate::options::OutputFormat;
 use crate::stdio::{self, is_stdout};
 use clap::{Args, ValueEnum};
+use platebench_engine::RunPlan;
 use platebench_model::record::{RunRecord, ScenarioRecord};
-use platebench_model::scenario::{Scenario, number_in_file};
+use platebench_model::scenario::number_in_file;
 use platebench_model::trace::{FileError, OutputFolder};
 use platebench_report::ReportError;
 use platebench_report::github::{self, SourceLocation};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::{env, fs};
 
 /// Heading of the options for files and other programs.
@@ -99,16 +101,12 @@ impl Outputs {
 }
 
 /// The scenarios of a run, to find the lines of their expectations.
-pub(crate) struct ScenarioLocations(Vec<Scenario>);
+pub(crate) struct ScenarioLocations(pub(crate) Arc<RunPlan>);
 
 impl ScenarioLocations {
-    pub(crate) fn new(scenarios: &[Scenario]) -> Self {
-        Self(scenarios.to_vec())
-    }
-
     /// Returns the line of expectation `index` in the scenario, or line 1 without `index`.
     fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
-        let played = self.0.iter().find(|played| played.file == scenario.file)?;
+        let played = self.0.scenarios.iter().find(|played| played.file == scenario.file)?;
         let line = index.map_or(1, |index| {
             let index = number_in_file(&scenario.not_applicable, index);
             played.diagnostic(&format!("expect.{index}.metric"), "").position().0

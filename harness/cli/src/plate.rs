@@ -4,23 +4,22 @@ use crate::board::{BoardArgs, release};
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{PacingArg, bench_law_names, parse_seconds};
 use crate::selection::{warn_of_plate, warn_of_scenarios};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::{run_plan, stdio};
 use clap::{Args, Subcommand};
 use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use platebench_engine::real_time::{Consumer, EmulationEnd, emulate_plate as play};
-use platebench_engine::{CancelToken, LiveTap, ManualControl, ManualInputs, TimeBase, Trial};
+use platebench_engine::{CancelToken, Clock, LiveTap, ManualControl, ManualInputs, RunPlan, TimeBase, Trial};
 #[cfg(feature = "export")]
 use platebench_fmi::find_library;
 use platebench_lab::boards::BoardOutcome;
+use platebench_model::record::Overrides;
 use platebench_model::scenario::load::load_plate;
 use platebench_model::scenario::{Scenario, load, read_text};
 use platebench_model::trace::{Flags, Row};
 use platebench_model::{quoted, quoted_path};
 use platebench_plate::Time;
-use platebench_report::live::{
-    INTERRUPT, LiveView, RunDescription, ScenarioDescription, ViewEvent, ViewSender, watch_keys,
-};
+use platebench_report::live::{INTERRUPT, LiveView, RunDescription, ViewSender, watch_keys};
 use platebench_rig::{
     BoxedLink, Capability, FaultInjector, PtyLink, RigSpec, SafeEnd, Session, check_baud, rig_syntaxes,
 };
@@ -153,14 +152,16 @@ fn serve(arguments: &ServeArgs) -> CommandResult {
     if let Some(baud) = port.baud() {
         check_baud(baud, time_base.wall_duration(scenario.controller.period), 1.0).or_invalid()?;
     }
-    let description = RunDescription {
-        command: "plate serve",
-        rig: named,
-        lockstep: false,
+    let plan = RunPlan {
+        scenarios: vec![scenario.clone()],
         jobs: 1,
-        key_help: LIVE_KEYS,
-        scenarios: vec![ScenarioDescription::of(&scenario).without_end()],
+        clock: Clock::RealTime(time_base),
+        own_clock: true,
+        rig: named,
+        overrides: Overrides::default(),
     };
+    let description =
+        RunDescription { command: "plate serve", key_help: LIVE_KEYS, plan: Arc::new(plan), has_end: false };
     let (view, live_tap) = if arguments.live { run_plan::open_view(description) } else { Default::default() };
     let view_sender = view.as_ref().map(LiveView::sender);
     let reservation = arguments.board.reserve("plate serve")?;
@@ -181,7 +182,7 @@ fn serve(arguments: &ServeArgs) -> CommandResult {
     let raw = view.is_none().then(RawTerminalMode::enter);
     let ended = run_until_signal(arguments.seconds, serve, |()| {});
     drop((view, raw));
-    let is_abandoned = !matches!(ended, Ok(WorkResult::Finished(..)));
+    let is_abandoned = ended.0.is_err();
     let is_unconfirmed = is_abandoned || unconfirmed.load(Ordering::Relaxed);
     let exit = unless_signalled(ended).map_or_else(Failure::report, |()| Exit::Passed);
     release(reservation, if is_unconfirmed { BoardOutcome::unconfirmed() } else { BoardOutcome::untouched() })?;
@@ -235,7 +236,7 @@ impl ControllerPort {
             Self::PseudoTerminal => {
                 let terminal = PtyLink::open().map_err(|error| Failure::new(Exit::Unreachable, &error))?;
                 match view_sender {
-                    Some(sender) => sender.send(ViewEvent::RigLocation(terminal.path().to_owned())),
+                    Some(sender) => sender.set_rig(terminal.path().to_owned()),
                     None => stdio::show(&format!("port: {}\n", terminal.path())),
                 }
                 Ok(Box::new(terminal))

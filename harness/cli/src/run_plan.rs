@@ -2,12 +2,13 @@
 //! stops it after a signal.
 
 use crate::prompt::TerminalOperator;
-use crate::shutdown::{EventSender, WorkResult, run_until_signal};
+use crate::shutdown::{EventSender, run_until_signal};
 use crate::stdio;
-use platebench_engine::{CancelToken, Clock, Event, LiveTap, RunError, RunHooks, RunPlan};
-use platebench_model::record::{RunFolder, RunRecord};
+use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunHooks, RunPlan};
+use platebench_model::record::{PlannedScenario, RunFolder, RunRecord};
+use platebench_model::scenario::Scenario;
 use platebench_report::events::EventWriter;
-use platebench_report::live::{LiveView, RunDescription, ScenarioDescription, ViewEvent};
+use platebench_report::live::{LiveView, RunDescription};
 use platebench_report::page::{MAX_TRIALS, RowCache};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::{ConnectOptions, RigSpec};
@@ -26,24 +27,36 @@ impl EventSinks<'_> {
         Self { progress: Progress::new(ProgressKind::Quiet), view: None, events: None, rows: None }
     }
 
-    fn send(&mut self, mut event: Event) {
+    pub(crate) fn send(&mut self, mut event: Event) {
         if let (Some(kept), Event::TrialFinished { trial, rows, .. }) = (&mut self.rows, &mut event) {
             kept.add(&trial.trace, std::mem::take(rows));
         }
-        let event = &event;
-        self.progress.show(event);
-        if let (Some(view), Some(event)) = (self.view, ViewEvent::of(event)) {
-            view.send(event);
+        self.progress.show(&event);
+        if let Some(view) = self.view {
+            view.show(&event);
         }
         if let Some(events) = &mut self.events {
-            events.event(event);
+            events.write(&event);
         }
+    }
+}
+
+/// The first event of a run.
+pub(crate) fn run_started(plan: &RunPlan, folder: &RunFolder) -> Event {
+    let planned =
+        |scenario: &Scenario| PlannedScenario { scenario: scenario.file.clone(), trials: scenario.trials.count };
+    Event::RunStarted {
+        format: Event::FORMAT,
+        folder: folder.path().display().to_string(),
+        rig: plan.rig.clone(),
+        clock: plan.clock.kind().name().to_owned(),
+        scenarios: plan.scenarios.iter().map(planned).collect(),
     }
 }
 
 /// If the run ends early, returns the error and the signal that ended the run.
 pub(crate) fn run_plan(
-    plan: RunPlan,
+    plan: Arc<RunPlan>,
     folder: &RunFolder,
     rig: RigSpec,
     operator: TerminalOperator,
@@ -65,29 +78,14 @@ pub(crate) fn run_plan(
         };
         platebench_engine::run(&plan, &folder, &|| plan.clock.connect(&rig, &connect_options), hooks)
     };
-    let result = run_until_signal(None, run, |event| sinks.send(event));
+    let (result, signal) = run_until_signal(None, run, |event| sinks.send(event));
     sinks.progress.finish();
-    match result {
-        Ok(WorkResult::Finished(result, signal)) => result.map_err(|error| (error, signal)),
-        Ok(WorkResult::Abandoned(signal)) => Err((RunError::Cancelled, Some(signal))),
-        Err(error) => Err((RunError::Internal(error.to_string()), None)),
-    }
+    result.flatten().map_err(|error| (error, signal))
 }
 
 pub(crate) const KEYS: &str = "q or Ctrl-C ends the run, with the plate at 0 V";
 
 const SESSION_KEYS: &str = "Ctrl-C ends the session, with the plate at 0 V; --resume continues it";
-
-pub(crate) fn describe_run(command: &'static str, keys: &'static str, plan: &RunPlan) -> RunDescription {
-    RunDescription {
-        command,
-        rig: plan.rig.clone(),
-        lockstep: matches!(plan.clock, Clock::Lockstep { .. }),
-        jobs: plan.jobs,
-        key_help: keys,
-        scenarios: plan.scenarios.iter().map(ScenarioDescription::of).collect(),
-    }
-}
 
 /// If the live view cannot be opened, prints a note and returns no view.
 pub(crate) fn open_view(description: RunDescription) -> (Option<LiveView>, LiveTap) {
@@ -122,14 +120,19 @@ impl SessionView {
         let mut slot = self.lock_view()?;
         // Closes the previous view first, because only one view may use the terminal.
         *slot = None;
-        let (view, live_tap) = open_view(describe_run("acceptance run", SESSION_KEYS, plan));
+        let (view, live_tap) = open_view(RunDescription {
+            command: "acceptance run",
+            key_help: SESSION_KEYS,
+            plan: Arc::new(plan.clone()),
+            has_end: true,
+        });
         *slot = Some(view?);
         Some(live_tap)
     }
 
     pub(crate) fn send(&self, event: &Event) {
-        if let (Some(Some(view)), Some(news)) = (self.lock_view().as_deref(), ViewEvent::of(event)) {
-            view.send(news);
+        if let Some(Some(view)) = self.lock_view().as_deref() {
+            view.show(event);
         }
     }
 

@@ -10,7 +10,7 @@
 use crate::exit::{Exit, Failure};
 use crate::stdio;
 use crossterm::terminal::disable_raw_mode;
-use platebench_engine::CancelToken;
+use platebench_engine::{CancelToken, RunError};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, PidfdFlags, Signal as SignalName, getpid, kill_process, pidfd_open};
 use std::future::poll_fn;
@@ -180,11 +180,9 @@ impl Drop for BusyGuard {
     }
 }
 
-pub(crate) enum WorkResult<T> {
-    /// Result of the work, and the first signal that came before the work ended.
-    Finished(T, Option<u8>),
-    Abandoned(u8),
-}
+/// Result of work, and the first signal that came before its end. The error is `Cancelled` if a late
+/// signal abandoned the work, and `Internal` if it panicked.
+pub(crate) type WorkEnd<T> = (Result<T, RunError>, Option<u8>);
 
 pub(crate) struct EventSender<E> {
     sender: SyncSender<E>,
@@ -206,13 +204,25 @@ impl<E> EventSender<E> {
 }
 
 /// Runs `work` on its own thread until it returns, and passes its events to `on_event` on the
-/// calling thread. A signal or the end of `max_duration` cancels the work. Fails if `work` panics.
+/// calling thread. A signal or the end of `max_duration` cancels the work.
 pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
     max_duration: Option<Duration>,
     work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
+    on_event: impl FnMut(E),
+) -> WorkEnd<T> {
+    let result = run_work(max_duration, work, on_event);
+    // A late signal is not the first one.
+    let late = State::lock().late_signal.filter(|_| matches!(result, Err(RunError::Cancelled)));
+    (result, late.or_else(received_signal))
+}
+
+fn run_work<T: Send + 'static, E: Send + 'static>(
+    max_duration: Option<Duration>,
+    work: impl FnOnce(&CancelToken, &mut EventSender<E>) -> T + Send + 'static,
     mut on_event: impl FnMut(E),
-) -> io::Result<WorkResult<T>> {
-    listen()?;
+) -> Result<T, RunError> {
+    let defect = |error: io::Error| RunError::Internal(error.to_string());
+    listen().map_err(defect)?;
     let cancel = CancelToken::default();
     let (sender, events) = sync_channel(MAX_QUEUED_EVENTS);
     let busy = BusyGuard::new(&cancel);
@@ -221,19 +231,19 @@ pub(crate) fn run_until_signal<T: Send + 'static, E: Send + 'static>(
         let result = work(&sender.cancel.clone(), &mut sender);
         drop(busy);
         result
-    })?;
+    });
+    let worker = worker.map_err(defect)?;
     let started = Instant::now();
     loop {
         match events.recv_timeout(POLL_INTERVAL) {
             Ok(event) => on_event(event),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                let result = worker.join().map_err(|_| io::Error::other("a thread of the bench panicked"))?;
-                return Ok(WorkResult::Finished(result, received_signal()));
+                return worker.join().map_err(|_| RunError::Internal("a thread of the bench panicked".to_owned()));
             }
         }
-        if let Some(number) = State::lock().late_signal {
-            return Ok(WorkResult::Abandoned(number));
+        if State::lock().late_signal.is_some() {
+            return Err(RunError::Cancelled);
         }
         if max_duration.is_some_and(|longest| started.elapsed() > longest) {
             cancel.cancel();
@@ -261,11 +271,11 @@ pub(crate) fn run_unless_signalled<T: Send + 'static>(
     }
 }
 
-pub(crate) fn unless_signalled<T, F: Into<Failure>>(ended: io::Result<WorkResult<Result<T, F>>>) -> Result<T, Failure> {
-    match ended {
-        Ok(WorkResult::Finished(result, None)) => result.map_err(Into::into),
-        Ok(WorkResult::Finished(_, Some(signal)) | WorkResult::Abandoned(signal)) => Err(Exit::Signal(signal).into()),
-        Err(error) => Err(Failure::new(Exit::Inconclusive, &error)),
+pub(crate) fn unless_signalled<T, F: Into<Failure>>((result, signal): WorkEnd<Result<T, F>>) -> Result<T, Failure> {
+    match (result, signal) {
+        (Err(error @ RunError::Internal(_)), _) => Err(error.into()),
+        (_, Some(signal)) => Err(Exit::Signal(signal).into()),
+        (result, None) => result?.map_err(Into::into),
     }
 }
 

@@ -18,6 +18,7 @@ pub mod rejudge;
 pub mod replay;
 pub mod run;
 mod run_player;
+mod run_recorder;
 mod timing;
 mod trend;
 pub mod trial;

@@ -1,7 +1,7 @@
 //! Judges a stored run again, without a rig.
 
 use crate::delay_boundary::measure_trial;
-use crate::run::empty_record;
+use crate::run_recorder::empty_record;
 use crate::trial::law;
 use platebench_model::record::{
     Exclusion, FolderError, KeepTraces, Overrides, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord,
@@ -10,7 +10,9 @@ use platebench_model::record::{
 use platebench_model::scenario::{Diagnostic, MAX_TRIALS, OWN_LAW, Scenario, Variation, load, load_copies};
 use platebench_model::trace::{AtPath, Row, TraceError, read_trace};
 use platebench_plate::Model;
-use platebench_verdict::{SequentialDecision, TrialMeasures, judge_at_time_limit, judge_sequentially, trial_record};
+use platebench_verdict::{
+    Judgement, SequentialDecision, TrialMeasures, judge_at_time_limit, judge_sequentially, trial_record,
+};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -236,13 +238,10 @@ fn rejudge_scenario(
             break;
         }
     }
-    let mut record = empty_record(scenario, stored.inputs.clone());
-    let judgement = judge_at_time_limit(scenario, &measures, stored.time_limit_s);
-    record.time_limit_s = stored.time_limit_s;
-    record.verdict = judgement.verdict;
-    record.expectations = judgement.expectations;
-    record.trials = records;
-    Ok(record)
+    let Judgement { verdict, expectations } = judge_at_time_limit(scenario, &measures, stored.time_limit_s);
+    let (trials, time_limit_s) = (records, stored.time_limit_s);
+    let record = empty_record(scenario, stored.inputs.clone());
+    Ok(ScenarioRecord { verdict, expectations, trials, time_limit_s, ..record })
 }
 
 /// Fails if trials have the same file, or equal traces although the scenario is random.

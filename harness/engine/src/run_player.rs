@@ -3,9 +3,12 @@
 use crate::delay_boundary::{measure_trial, scenario_delay_boundary};
 use crate::executor::Executor;
 use crate::live_tap::LiveTap;
-use crate::plan::{RunError, RunPlan};
-use crate::workers::{Emit, ResultSink, run_workers};
-use platebench_model::record::{FolderError, KeepTraces, RunFolder, TrialRecord, Verdict, to_hex, trace_path};
+use crate::plan::RunError;
+use crate::run_recorder::RunRecorder;
+use crate::workers::run_workers;
+use platebench_model::record::{
+    FolderError, KeepTraces, Overrides, RunFolder, TrialRecord, Verdict, to_hex, trace_path,
+};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Row, TraceError, TraceWriter};
 use platebench_plate::Time;
@@ -14,17 +17,24 @@ use platebench_verdict::{
     Judgement, SequentialDecision, TrialMeasures, judge, judge_at_time_limit, judge_sequentially, trial_record,
 };
 use platebench_wire::LawId;
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 use tracing::{debug, info, info_span};
 
+/// A scenario that applies to the controller.
+pub(crate) struct SelectedScenario<'a> {
+    pub(crate) scenario: Cow<'a, Scenario>,
+    pub(crate) law: LawId,
+}
+
 pub(crate) struct RunPlayer<'a> {
-    plan: &'a RunPlan,
+    overrides: &'a Overrides,
     folder: &'a RunFolder,
     cancel: &'a CancelToken,
     live_tap: &'a LiveTap,
@@ -33,21 +43,7 @@ pub(crate) struct RunPlayer<'a> {
     scenarios: Vec<ScenarioPlay<'a>>,
     /// `--fail-fast` sets it. No further trial starts then, and trials in progress end normally.
     stop: AtomicBool,
-}
-
-/// What a worker reports to the run. The number is the index of the scenario.
-pub(crate) enum RunProgress {
-    Started(usize),
-    /// The rows are empty unless the report draws the trial.
-    Played(usize, Box<TrialRecord>, Vec<Row>),
-    Judged(usize, ScenarioResult),
-}
-
-pub(crate) struct ScenarioResult {
-    pub(crate) judgement: Judgement,
-    pub(crate) trials: Vec<TrialRecord>,
-    /// Time limit that ended the trials, s.
-    pub(crate) time_limit_s: Option<f64>,
+    recorder: Mutex<RunRecorder<'a>>,
 }
 
 struct ScenarioPlay<'a> {
@@ -81,24 +77,21 @@ struct TrialTask {
 
 impl<'a> RunPlayer<'a> {
     pub(crate) fn new(
-        plan: &'a RunPlan,
-        laws: Vec<LawId>,
+        overrides: &'a Overrides,
+        selected: &'a [SelectedScenario<'a>],
         folder: &'a RunFolder,
         cancel: &'a CancelToken,
         live_tap: &'a LiveTap,
         trials_with_rows: usize,
+        recorder: RunRecorder<'a>,
     ) -> Self {
-        let scenarios = plan.scenarios.iter().zip(laws).map(|(scenario, law)| ScenarioPlay::new(scenario, law));
-        let (scenarios, stop) = (scenarios.collect(), AtomicBool::new(false));
-        Self { plan, folder, cancel, live_tap, trials_with_rows, scenarios, stop }
+        let scenarios = selected.iter().map(|selected| ScenarioPlay::new(&selected.scenario, selected.law));
+        let (scenarios, stop, recorder) = (scenarios.collect(), AtomicBool::new(false), Mutex::new(recorder));
+        Self { overrides, folder, cancel, live_tap, trials_with_rows, scenarios, stop, recorder }
     }
 
     /// Plays until every scenario is judged, or `--fail-fast` stops the run.
-    pub(crate) fn play(
-        &self,
-        executors: &mut [Executor<'_>],
-        sink: &mut impl ResultSink<RunProgress, RunError>,
-    ) -> Result<(), RunError> {
+    pub(crate) fn play(&self, executors: &mut [Executor<'_>]) -> Result<(), RunError> {
         loop {
             // First all scenarios reach their first look. Then the undecided scenarios continue.
             let mut tasks: Vec<TrialTask> =
@@ -111,45 +104,46 @@ impl<'a> RunPlayer<'a> {
             let next = AtomicUsize::new(0);
             let source = || self.may_start().then(|| tasks.get(next.fetch_add(1, Ordering::Relaxed))).flatten();
             let workers = executors.iter_mut().take(tasks.len());
-            run_workers(workers, source, |executor, task, emit| self.play_task(executor, task, emit), sink)?;
+            let mut sink = |()| Ok(ControlFlow::Continue(()));
+            run_workers(workers, source, |executor, task, _| self.play_task(executor, task), &mut sink)?;
             if self.cancel.is_cancelled() {
                 return Err(RunError::Cancelled);
             }
         }
     }
 
-    /// Judges the scenarios that `--fail-fast` stopped early, by the trials that were played.
-    pub(crate) fn judge_unfinished(self) -> impl Iterator<Item = (usize, ScenarioResult)> {
-        let is_stopped = self.stop.into_inner();
-        self.scenarios.into_iter().enumerate().filter_map(move |(number, play)| {
+    /// After a run without an error, judges the scenarios that `--fail-fast` stopped early, by the
+    /// trials that were played.
+    pub(crate) fn finish(self, is_played: bool) -> RunRecorder<'a> {
+        let is_stopped = self.stop.into_inner() && is_played;
+        let mut recorder = self.recorder.into_inner().unwrap_or_else(PoisonError::into_inner);
+        for (number, play) in self.scenarios.into_iter().enumerate().filter(|_| is_stopped) {
             let played = play.played.into_inner().unwrap_or_else(PoisonError::into_inner);
-            let is_open = is_stopped && !played.is_judged;
-            is_open.then(|| {
-                let judgement = judge(play.scenario, &played.measures);
-                (number, ScenarioResult { judgement, trials: played.records, time_limit_s: None })
-            })
-        })
+            if !played.is_judged {
+                recorder.finish_scenario(number, judge(play.scenario, &played.measures), played.records, None);
+            }
+        }
+        recorder
+    }
+
+    fn recorder(&self) -> MutexGuard<'_, RunRecorder<'a>> {
+        self.recorder.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn may_start(&self) -> bool {
         !self.cancel.is_cancelled() && !self.stop.load(Ordering::Relaxed)
     }
 
-    fn play_task(
-        &self,
-        executor: &mut Executor<'_>,
-        task: &TrialTask,
-        emit: &mut Emit<'_, RunProgress>,
-    ) -> Result<(), RunError> {
+    fn play_task(&self, executor: &mut Executor<'_>, task: &TrialTask) -> Result<(), RunError> {
         let Some(play) = self.scenarios.get(task.scenario) else { return Ok(()) };
-        if task.trials.start == 0 && !emit(RunProgress::Started(task.scenario)) {
-            return Ok(());
+        if task.trials.start == 0 {
+            self.recorder().start_scenario(play.scenario);
         }
         for index in task.trials.clone() {
             if index > task.trials.start && !self.may_start() {
                 break;
             }
-            let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(executor, task.scenario, play, index, emit)));
+            let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(executor, task.scenario, play, index)));
             let error = match played {
                 Ok(Ok(true)) => continue,
                 Ok(Ok(false)) => break,
@@ -172,7 +166,6 @@ impl<'a> RunPlayer<'a> {
         number: usize,
         play: &ScenarioPlay<'_>,
         index: u32,
-        emit: &mut Emit<'_, RunProgress>,
     ) -> Result<bool, RunError> {
         let ScenarioPlay { scenario, law, .. } = *play;
         let span = info_span!("trial", scenario = %scenario.file, index).entered();
@@ -187,7 +180,7 @@ impl<'a> RunPlayer<'a> {
             trials.end_trial();
             if !self.cancel.is_cancelled() {
                 trials.is_timed_out = true;
-                self.judge_at_time_limit(number, scenario, &mut trials, emit)?;
+                self.judge_at_time_limit(number, scenario, &mut trials)?;
             }
             return Ok(false);
         };
@@ -197,7 +190,7 @@ impl<'a> RunPlayer<'a> {
         }
         let trace = trace_path(scenario.name(), index);
         let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
-        let is_stored = match self.plan.overrides.keep_traces {
+        let is_stored = match self.overrides.keep_traces {
             KeepTraces::All | KeepTraces::Worst(_) => true,
             KeepTraces::Failing => measures.margin(&scenario.expectations) < 0.0,
             KeepTraces::None => false,
@@ -210,15 +203,15 @@ impl<'a> RunPlayer<'a> {
         drop(span);
         let is_drawn = (index as usize) < self.trials_with_rows;
         let rows = if is_drawn { played.trace_rows } else { Vec::new() };
-        // Locked until the results are sent, so that the judgement follows its trials. The worker
+        // Locked until the results are recorded, so that the judgement follows its trials. The worker
         // judges, so that it knows before its next trial whether `--fail-fast` stops the run.
         let mut trials = play.lock_trials();
         trials.end_trial();
         trials.measures.push(measures);
         trials.records.push(record.clone());
-        emit(RunProgress::Played(number, Box::new(record), rows));
+        self.recorder().add_trial(number, record, rows)?;
         if trials.is_timed_out {
-            self.judge_at_time_limit(number, scenario, &mut trials, emit)?;
+            self.judge_at_time_limit(number, scenario, &mut trials)?;
             return Ok(false);
         }
         if trials.records.len() < trials.trials_until_look as usize {
@@ -230,7 +223,7 @@ impl<'a> RunPlayer<'a> {
                 trials.trials_until_look = next;
             }
             SequentialDecision::Stop(judgement) => {
-                self.finish_scenario(number, scenario, &mut trials, judgement, None, emit)?;
+                self.finish_scenario(number, scenario, &mut trials, judgement, None)?;
             }
         }
         Ok(true)
@@ -242,13 +235,12 @@ impl<'a> RunPlayer<'a> {
         number: usize,
         scenario: &Scenario,
         trials: &mut PlayedTrials,
-        emit: &mut Emit<'_, RunProgress>,
     ) -> Result<(), RunError> {
         if trials.running > 0 {
             return Ok(());
         }
         let judgement = judge_at_time_limit(scenario, &trials.measures, scenario.timeout_s);
-        self.finish_scenario(number, scenario, trials, judgement, scenario.timeout_s, emit)
+        self.finish_scenario(number, scenario, trials, judgement, scenario.timeout_s)
     }
 
     fn finish_scenario(
@@ -258,18 +250,17 @@ impl<'a> RunPlayer<'a> {
         trials: &mut PlayedTrials,
         judgement: Judgement,
         time_limit_s: Option<f64>,
-        emit: &mut Emit<'_, RunProgress>,
     ) -> Result<(), RunError> {
         trials.is_judged = true;
         let mut records = std::mem::take(&mut trials.records);
-        if let KeepTraces::Worst(count) = self.plan.overrides.keep_traces {
+        if let KeepTraces::Worst(count) = self.overrides.keep_traces {
             keep_worst(self.folder, scenario, &trials.measures, count, &mut records)?;
         }
-        if self.plan.overrides.fail_fast && judgement.verdict == Verdict::Fail {
+        if self.overrides.fail_fast && judgement.verdict == Verdict::Fail {
             self.stop.store(true, Ordering::Relaxed);
         }
         info!(scenario = %scenario.file, verdict = %judgement.verdict, "scenario judged");
-        emit(RunProgress::Judged(number, ScenarioResult { judgement, trials: records, time_limit_s }));
+        self.recorder().finish_scenario(number, judgement, records, time_limit_s);
         Ok(())
     }
 }

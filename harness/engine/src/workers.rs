@@ -12,29 +12,19 @@ use tracing::subscriber::{NoSubscriber, with_default};
 /// Number of results that workers can send before they wait for the sink.
 const RESULT_QUEUE: usize = 256;
 
-/// Receives the results of all workers on the thread of the caller.
-pub trait ResultSink<R, E> {
-    /// After `Break` or an error, no task starts and no further result is received. After an error
-    /// of a worker, no task starts, and the results of the others that already run are received.
-    fn receive(&mut self, result: R) -> Result<ControlFlow<()>, E>;
-}
-
-impl<R, E, F: FnMut(R) -> Result<ControlFlow<()>, E>> ResultSink<R, E> for F {
-    fn receive(&mut self, result: R) -> Result<ControlFlow<()>, E> {
-        self(result)
-    }
-}
-
 /// Sends a result to the sink. Returns false if the sink receives no further results.
 pub type Emit<'a, R> = dyn FnMut(R) -> bool + 'a;
 
 /// Calls `work` on one thread per worker, with the next task of `source`, until `source` is empty.
-/// A task may have any number of results. Ends at the first error.
+/// A task may have any number of results, which `sink` receives on the thread of the caller. Ends at
+/// the first error. After `Break` or an error of the sink, no task starts and no further result is
+/// received. After an error of a worker, no task starts, and the results of the others that already
+/// run are received.
 pub fn run_workers<S: Send, T, R: Send, E: Send>(
     workers: impl IntoIterator<Item = S>,
     source: impl Fn() -> Option<T> + Sync,
     work: impl Fn(&mut S, T, &mut Emit<'_, R>) -> Result<(), E> + Sync,
-    sink: &mut impl ResultSink<R, E>,
+    sink: &mut impl FnMut(R) -> Result<ControlFlow<()>, E>,
 ) -> Result<(), E> {
     let is_over = AtomicBool::new(false);
     let (sender, results) = mpsc::sync_channel(RESULT_QUEUE);
@@ -60,7 +50,7 @@ pub fn run_workers<S: Send, T, R: Send, E: Send>(
         let mut first_error = None;
         let outcome = loop {
             let received = match results.recv() {
-                Ok(Ok(result)) => sink.receive(result),
+                Ok(Ok(result)) => sink(result),
                 Ok(Err(error)) => {
                     first_error = first_error.or(Some(error));
                     Ok(ControlFlow::Continue(()))

@@ -15,6 +15,7 @@ pub mod record {
     //! Defines the record, the events and the folder of a run.
 
     mod assessment;
+    mod event;
     mod journal;
     mod reason;
     mod run_folder;
@@ -25,6 +26,7 @@ pub mod record {
     pub use crate::metrics::{Metric, MissingValue, SignalPoint, UndefinedValue};
     pub use crate::scenario::Limit;
     pub use assessment::{Assessment, NotPlayed, RunOutcome, ScenarioAssessment, combine_runs};
+    pub use event::{Event, PlannedScenario};
     pub use journal::TrialJournal;
     pub use reason::{
         Bounds, DivergedTrials, Divergence, Evidence, EvidenceMethod, ExpectationRecord, LoopSymptom, MetricDefinition,
@@ -35,15 +37,14 @@ pub mod record {
         ScenarioSummary, is_run_folder, newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
     };
     pub use run_record::{
-        BoardDifference, ClockKind, Event, FORMAT, FinishedScenario, Firmware, Host, InputRecord, JournalRecord,
-        KeepTraces, MergeRecord, MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides, RigRecord,
-        RunRecord, ScenarioRecord, Tool,
+        BoardDifference, ClockKind, FORMAT, Firmware, Host, InputRecord, JournalRecord, KeepTraces, MergeRecord,
+        MergedRun, MergedScenario, MissingShard, NotApplicable, Overrides, RigRecord, RunRecord, ScenarioRecord, Tool,
     };
     pub use trial_record::{
         CostChange, CostTrend, EarlierCost, MetricValues, NonFiniteDrive, OperatorRequest, Quantiles, RealPlateRecord,
         StepCost, StepTime, Telemetry, TightestStep, TimingRecord, Transport, TrialRecord,
     };
-    pub use verdict::{BestResponse, Cause, Exclusion, Excuse, Verdict, Violation, ViolationKind};
+    pub use verdict::{BestResponse, Cause, Exclusion, Excuse, Verdict, VerdictCounts, Violation, ViolationKind};
 }
 
 pub mod scenario {

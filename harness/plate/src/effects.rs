@@ -105,7 +105,8 @@ pub struct RawFinger {
     pub resonance_shift_hz_per_n: f64,
 }
 
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+/// Used as `skip_serializing_if` of keys that are absent if they have their default.
+pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 

@@ -6,7 +6,7 @@ mod style;
 mod table;
 
 pub use style::Style;
-pub use table::{Alignment, Cell, Column, Table, verdict_badge};
+pub use table::{Alignment, Cell, Column, NOTHING, Table, verdict_badge};
 
 use crate::chart::marks;
 use crate::error::{ReportError, write_file};
@@ -106,13 +106,15 @@ impl Document {
     }
 
     pub fn to_markdown(&self) -> String {
-        let mut text = format!("# {}\n", markdown_text(&self.title));
-        if !self.lead.is_empty() {
-            let _ = writeln!(text, "\n{}", markdown_text(&self.lead));
-        }
-        for block in &self.blocks {
-            block.write_markdown(&mut text);
-        }
+        let title = markdown_text(&self.title);
+        let lead = if self.lead.is_empty() { String::new() } else { format!("\n{}\n", markdown_text(&self.lead)) };
+        format!("# {title}\n{lead}{}", self.blocks_to_markdown())
+    }
+
+    /// The blocks as a part of a page. Each follows an empty line.
+    pub(crate) fn blocks_to_markdown(&self) -> String {
+        let mut text = String::new();
+        self.blocks.iter().for_each(|block| block.write_markdown(&mut text));
         text
     }
 

@@ -8,52 +8,6 @@ use platebench_model::record::{
     Statistic, TrialFinding, Verdict,
 };
 use platebench_verdict::tube::{Exceedance, TubeSignal};
-use schemars::JsonSchema;
-use serde::Serialize;
-use std::fmt;
-
-/// Numbers of verdicts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
-#[schemars(rename = "Counts")]
-pub struct VerdictCounts {
-    pub(crate) passed: usize,
-    pub(crate) failed: usize,
-    pub(crate) inconclusive: usize,
-}
-
-impl VerdictCounts {
-    pub(crate) fn of_scenarios(record: &RunRecord) -> Self {
-        record.scenarios.iter().map(|scenario| scenario.verdict).collect()
-    }
-
-    pub(crate) fn of_expectations(record: &RunRecord) -> Self {
-        let expectations = record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
-        expectations.map(|expectation| expectation.verdict).collect()
-    }
-
-    pub(crate) fn total(self) -> usize {
-        self.passed + self.failed + self.inconclusive
-    }
-}
-
-impl FromIterator<Verdict> for VerdictCounts {
-    fn from_iter<I: IntoIterator<Item = Verdict>>(verdicts: I) -> Self {
-        verdicts.into_iter().fold(Self::default(), |mut counts, verdict| {
-            match verdict {
-                Verdict::Pass => counts.passed += 1,
-                Verdict::Fail => counts.failed += 1,
-                Verdict::Inconclusive => counts.inconclusive += 1,
-            }
-            counts
-        })
-    }
-}
-
-impl fmt::Display for VerdictCounts {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{} passed, {} failed, {} inconclusive", self.passed, self.failed, self.inconclusive)
-    }
-}
 
 /// Longest list of names in [`tested`].
 const MAX_NAMES: usize = 3;

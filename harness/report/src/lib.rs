@@ -21,6 +21,7 @@ pub use text::{comparison, console, events, github, junit, scenario_list, tracea
 pub mod chart {
     mod cells;
     pub(crate) mod marks;
+    mod panels;
     mod points;
     mod strips;
     pub(crate) mod time;

@@ -23,5 +23,5 @@ pub mod view;
 #[cfg(feature = "screen")]
 mod view_state;
 
-pub use events::{INTERRUPT, LiveViewError, RunDescription, ScenarioDescription, ViewEvent, watch_keys};
+pub use events::{INTERRUPT, LiveViewError, RunDescription, watch_keys};
 pub use view::{LiveView, ViewSender};

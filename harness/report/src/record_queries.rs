@@ -6,6 +6,7 @@ use platebench_model::record::{
     MissingValue, NotApplicable, NotPlayed, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord,
     Verdict, ViolationKind,
 };
+use platebench_model::scenario::NotApplicableExpectation;
 use std::mem::{Discriminant, discriminant};
 use std::ops::Range;
 
@@ -352,10 +353,16 @@ pub(crate) struct NotApplicableGroup<'a> {
     pub(crate) unplayed: usize,
 }
 
+/// Expectations of played scenarios that do not apply to the controller's own law.
+pub(crate) fn skipped_expectations(
+    record: &RunRecord,
+) -> impl Iterator<Item = (&ScenarioRecord, &NotApplicableExpectation)> {
+    record.scenarios.iter().flat_map(|scenario| scenario.not_applicable.iter().map(move |skipped| (scenario, skipped)))
+}
+
 /// The largest group comes first.
 pub(crate) fn not_applicable_groups(record: &RunRecord) -> Vec<NotApplicableGroup<'_>> {
-    let played = record.scenarios.iter().flat_map(|scenario| &scenario.not_applicable);
-    let played = played.map(|expectation| (expectation.reason.as_str(), 1, 0));
+    let played = skipped_expectations(record).map(|(_, expectation)| (expectation.reason.as_str(), 1, 0));
     let unplayed = record.not_applicable.iter().filter(|scenario| scenario.expectations > 0);
     let unplayed = unplayed.map(|scenario| (scenario.reason.as_str(), scenario.expectations, 1));
     let mut groups: Vec<NotApplicableGroup<'_>> = Vec::new();

@@ -1,4 +1,5 @@
-use platebench_engine::LiveTap;
+use platebench_engine::{Clock, LiveTap, RunPlan};
+use platebench_model::record::Overrides;
 use platebench_report::live::{LiveView, RunDescription};
 use rustix::fs::{Mode, OFlags, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -6,6 +7,7 @@ use rustix::termios::{Winsize, tcgetattr, tcsetwinsize};
 use std::fs::File;
 use std::io::Read;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::thread;
 
 const MESSAGE: &str = "a panic on purpose";
@@ -16,11 +18,15 @@ const MESSAGE: &str = "a panic on purpose";
 fn panics_on_purpose() {
     let subject = RunDescription {
         command: "run",
-        rig: String::new(),
-        lockstep: true,
-        jobs: 1,
         key_help: "",
-        scenarios: Vec::new(),
+        plan: Arc::new(RunPlan::new(
+            &"hosted".parse().unwrap(),
+            Clock::Lockstep { wire_time: false },
+            1,
+            Vec::new(),
+            Overrides::default(),
+        )),
+        has_end: true,
     };
     let (_live_tap, tap_reader) = LiveTap::new();
     let _view = LiveView::open(subject, tap_reader).unwrap();

@@ -9,7 +9,7 @@ use crate::options::{
 };
 use crate::outputs::{Outputs, RESULTS, ScenarioLocations};
 use crate::prompt::TerminalOperator;
-use crate::run_plan::{EventSinks, run_plan};
+use crate::run_plan::{EventSinks, run_plan, run_started};
 use crate::selection::ScenarioFilter;
 use crate::{outputs, run_plan, shutdown, stdio};
 use clap::Args;
@@ -20,13 +20,15 @@ use platebench_model::quoted_path;
 use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, Verdict};
 use platebench_model::scenario::{AUTO_MODEL, Diagnostic, MAX_TRIALS, Scenario};
 use platebench_plate::Model;
-use platebench_report::events::EventWriter;
+use platebench_report::events::{EventWriter, run_finished};
 use platebench_report::format::count;
+use platebench_report::live::RunDescription;
 use platebench_report::page::RowCache;
 use platebench_report::{Detail, Progress, ProgressKind, counts_so_far, junit, page, slow_scenarios, traceability};
 use platebench_rig::{Capability, ConnectOptions, DebugPort, RigSpec};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
 use tracing::info;
 
@@ -276,7 +278,7 @@ pub(super) fn play_with_events(
     };
     if let Some(events) = &mut events {
         let error = record.is_none().then(|| outputs::exit_reason(exit));
-        events.run_finished(record.as_ref(), error, exit.code());
+        events.write(&run_finished(record.as_ref(), error, exit.code()));
     }
     exit
 }
@@ -319,18 +321,15 @@ pub(super) fn play(
     if arguments.live && is_real {
         stdio::note("no live view with --plate-mode real, because the prompts use the terminal");
     }
-    let opened =
-        (arguments.live && !is_real).then(|| run_plan::open_view(run_plan::describe_run("run", run_plan::KEYS, &plan)));
+    let plan = Arc::new(plan);
+    let description =
+        RunDescription { command: "run", key_help: run_plan::KEYS, plan: Arc::clone(&plan), has_end: true };
+    let opened = (arguments.live && !is_real).then(|| run_plan::open_view(description));
     let (view, live_tap) = opened.unwrap_or_default();
     if let Some(view) = &view {
         view.quit_on_q();
     }
-    let locations = ScenarioLocations::new(&plan.scenarios);
-    if let Some(events) = events {
-        let trials = |scenario: &Scenario| (scenario.file.clone(), scenario.trials.count);
-        let scenarios: Vec<_> = plan.scenarios.iter().map(trials).collect();
-        events.run_started(&folder.path().display().to_string(), &plan.rig, plan.clock.kind().name(), &scenarios);
-    }
+    let locations = ScenarioLocations(Arc::clone(&plan));
     let operator = TerminalOperator::at_plate(is_real && !arguments.yes);
     let progress = match ProgressKind::detect() {
         _ if detail == Detail::Failures || view.is_some() => ProgressKind::Quiet,
@@ -339,10 +338,9 @@ pub(super) fn play(
         ProgressKind::Lines => ProgressKind::Quiet,
         kind => kind,
     };
-    let planned_trials = plan.scenarios.iter().map(|scenario| u64::from(scenario.trials.count)).sum();
-    let progress = Progress::new(progress).with_planned_trials(planned_trials);
-    let mut rows = RowCache::default();
-    let sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut(), rows: Some(&mut rows) };
+    let (progress, mut rows) = (Progress::new(progress), RowCache::default());
+    let mut sinks = EventSinks { progress, view: view.as_ref(), events: events.as_mut(), rows: Some(&mut rows) };
+    sinks.send(run_started(&plan, &folder));
     let played = run_plan(plan, &folder, arguments.rig.clone(), operator, live_tap, sinks, connect_options);
     drop(view);
     let end = BoardOutcome::of_run(played.as_ref().map_err(|(error, _)| error), folder.path());

@@ -4,7 +4,7 @@
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, job_count, law_names, parse_reply_timeout, rig_help};
 use crate::selection::note_skipped;
-use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_experiments::explore::session::{ExploreSession, ProgressEvent};
@@ -82,7 +82,7 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
         }
     });
     let ((report, stop), signal) = match ended {
-        Ok(WorkResult::Finished(Ok(report), signal)) => (report, signal),
+        (Ok(Ok(report)), signal) => (report, signal),
         ended => {
             folder.remove_if_empty();
             (unless_signalled(ended)?, None)

@@ -4,7 +4,7 @@
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, SCENARIOS, bench_law_names, job_count, parse_percent};
 use crate::selection::{ScenarioFilter, find_scenarios};
-use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
 use platebench_experiments::firmware_analysis::{
@@ -172,7 +172,7 @@ pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
         }
     });
     let ((report, stop), signal) = match ended {
-        Ok(WorkResult::Finished(Ok(found), signal)) => (found, signal),
+        (Ok(Ok(found)), signal) => (found, signal),
         ended => (unless_signalled(ended)?, None),
     };
     let text = mutation_document(&report).to_console(None, Style::default());

@@ -19,6 +19,7 @@ use platebench_wire::{Gains, LawId};
 use schemars::JsonSchema;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 pub(super) struct VerificationConfig<'a> {
@@ -93,7 +94,7 @@ fn play_step(
     let overrides = Overrides { board: config.board.selection.board.clone(), ..Overrides::default() };
     let plan = RunPlan::new(rig, clock, 1, vec![scenario], overrides);
     let played = run_plan(
-        plan,
+        Arc::new(plan),
         &folder,
         rig.clone(),
         TerminalOperator::at_plate(false),

@@ -7,7 +7,7 @@ use crate::record::verdict::Excuse;
 use crate::record::verdict::Violation;
 use crate::record::verdict::{Cause, Verdict};
 use crate::scenario::{Expectation, Limit, Metric};
-use platebench_plate::Time;
+use platebench_plate::{Time, is_default};
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
@@ -383,7 +383,7 @@ pub struct ExpectationRecord {
     pub worst: Option<WorstInstant>,
     #[serde(flatten)]
     pub definition: MetricDefinition,
-    #[serde(default, skip_serializing_if = "Evidence::is_empty")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub evidence: Evidence,
 }
 
@@ -469,10 +469,4 @@ pub struct Evidence {
     /// Sensor that measured, if the true motion of the plate is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub observed: Option<String>,
-}
-
-impl Evidence {
-    pub fn is_empty(&self) -> bool {
-        *self == Self::default()
-    }
 }

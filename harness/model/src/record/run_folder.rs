@@ -99,7 +99,7 @@ impl RunFolder {
     }
 
     /// Copies all input files and keeps their relative paths. Returns their records by scenario.
-    pub fn store_inputs(&self, scenarios: &[Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
+    pub fn store_inputs(&self, scenarios: &[&Scenario]) -> Result<Vec<Vec<InputRecord>>, FolderError> {
         // Paths in a scenario from standard input are relative to the current folder.
         let place = |input: &InputFile| match input.path.to_str() {
             Some(STANDARD_STREAM) => {

@@ -1,11 +1,11 @@
-//! Defines the record of a run (`run.json`) and the events of a run.
+//! Defines the record of a run (`run.json`).
 
 use crate::record::reason::ExpectationRecord;
 use crate::record::trial_record::CostTrend;
 use crate::record::trial_record::TrialRecord;
-use crate::record::verdict::{Cause, Verdict};
+use crate::record::verdict::{Cause, Verdict, VerdictCounts};
 use crate::scenario::NotApplicableExpectation;
-use crate::trace::Row;
+use platebench_plate::is_default;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ pub struct RunRecord {
     pub format: u32,
     /// One more than the largest number of the neighbouring runs at the start. Orders runs whatever
     /// the clock does; absent in records of 0.3.
-    #[serde(default, skip_serializing_if = "is_zero_sequence")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub sequence: u64,
     pub verdict: Verdict,
     /// False during the run, and if the run was killed.
@@ -40,7 +40,7 @@ pub struct RunRecord {
     pub safe_confirmed: Option<bool>,
     /// True if a controller commanded a drive after it had confirmed 0 V, outside all trials. The
     /// run then fails.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub drive_after_safe: bool,
     /// Wall-clock time of the run, ms; absent during the run or if it was killed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -87,18 +87,8 @@ pub struct NotApplicable {
     pub title: String,
     pub reason: String,
     /// Number of its expectations, if the reason is that none of them applies to an own law.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub expectations: usize,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
-const fn is_zero_sequence(number: &u64) -> bool {
-    *number == 0
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
-const fn is_zero(number: &usize) -> bool {
-    *number == 0
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -180,6 +170,15 @@ impl RunRecord {
         merged.find(|scenario| scenario.file == file).map_or(file, |scenario| &scenario.original)
     }
 
+    pub fn scenario_counts(&self) -> VerdictCounts {
+        self.scenarios.iter().map(|scenario| scenario.verdict).collect()
+    }
+
+    pub fn expectation_counts(&self) -> VerdictCounts {
+        let expectations = self.scenarios.iter().flat_map(|scenario| &scenario.expectations);
+        expectations.map(|expectation| expectation.verdict).collect()
+    }
+
     /// A copy whose traces have paths that are valid in the working directory of `folder`.
     #[must_use]
     pub fn with_traces_below(&self, folder: &Path) -> Self {
@@ -222,7 +221,7 @@ pub struct RigRecord {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub program_sha256: Option<String>,
     /// True if the controller is the bench's own firmware, so that the run tests no other code.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub bench_firmware: bool,
 }
 
@@ -272,21 +271,21 @@ pub struct Overrides {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
     /// `--require-all`: a scenario that is not applicable fails the run.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub require_all: bool,
     /// `--fail-fast`: no trial starts after a scenario failed.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub fail_fast: bool,
     /// `--long-scripts`: the protocol check plays its long scripts on every rig.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub long_scripts: bool,
     /// `--timeout`: wall time after which the trials of a scenario end, s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timeout_s: Option<f64>,
     /// `--wire-time`: emulated line and computing time act as loop delay.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub wire_time: bool,
-    #[serde(default, skip_serializing_if = "KeepTraces::keeps_all")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub keep_traces: KeepTraces,
     /// `--board`: name of the board in boards.toml.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -312,13 +311,6 @@ pub enum KeepTraces {
     Failing,
     /// This many trials of each scenario, those with the smallest margins.
     Worst(u32),
-}
-
-impl KeepTraces {
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "the signature that serde calls")]
-    fn keeps_all(&self) -> bool {
-        *self == Self::All
-    }
 }
 
 /// The program's crate sets this value, because a new commit recompiles only that crate.
@@ -442,47 +434,6 @@ pub struct BoardDifference {
 impl MergeRecord {
     pub fn run_of(&self, file: &str) -> Option<&MergedRun> {
         self.runs.iter().find(|run| run.scenarios.iter().any(|scenario| scenario.file == file))
-    }
-}
-
-#[derive(Debug, Clone)]
-pub enum Event {
-    ScenarioStarted {
-        /// Path below the scenario folder.
-        file: String,
-        trials: u32,
-    },
-    TrialFinished {
-        file: String,
-        /// The trace of this trial is complete when the event is sent.
-        trial: Box<TrialRecord>,
-        /// Rows of the first trials of each scenario if the receiver wants rows; otherwise empty.
-        rows: Vec<Row>,
-    },
-    ScenarioFinished(Box<FinishedScenario>),
-}
-
-/// A judged scenario without its trials, which may be many.
-#[derive(Debug, Clone)]
-pub struct FinishedScenario {
-    pub file: String,
-    pub title: String,
-    pub law: String,
-    pub verdict: Verdict,
-    pub trial_count: usize,
-    pub expectations: Vec<ExpectationRecord>,
-}
-
-impl From<&ScenarioRecord> for FinishedScenario {
-    fn from(record: &ScenarioRecord) -> Self {
-        Self {
-            file: record.file.clone(),
-            title: record.title.clone(),
-            law: record.law.clone(),
-            verdict: record.verdict,
-            trial_count: record.trials.len(),
-            expectations: record.expectations.clone(),
-        }
     }
 }
 

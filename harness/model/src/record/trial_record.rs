@@ -5,6 +5,7 @@ use crate::record::reason;
 use crate::record::reason::{LoopSymptom, TrialReason};
 use crate::record::verdict::Cause;
 use crate::record::verdict::{Violation, ViolationKind};
+use platebench_plate::is_default;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::Serializer;
@@ -64,7 +65,7 @@ pub struct Telemetry {
     pub protocol_differences: Option<Vec<String>>,
     /// Number of message scripts that were repeated because the line may have lost an answer or the
     /// host stalled.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub protocol_repeats: u32,
     /// Message scripts that `--long-scripts` plays and that this trial did not play.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -80,7 +81,7 @@ pub struct Telemetry {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end_cause: Option<String>,
     /// True if the controller, not the rig, caused the end. A silence before it is then the controller's.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub ended_by_controller: bool,
     /// Absent on rigs without an emulated chip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -148,16 +149,6 @@ impl Telemetry {
             self.step_time.get_or_insert_default().include(&steps);
         }
     }
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde fixes the signature")]
-const fn is_false(flag: &bool) -> bool {
-    !*flag
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde fixes the signature")]
-const fn is_zero(count: &u32) -> bool {
-    *count == 0
 }
 
 /// Commands that were NaN or infinite. The bench applied 0 V, so the trace does not contain them.

@@ -35,6 +35,43 @@ impl Verdict {
     }
 }
 
+/// Numbers of verdicts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
+#[schemars(rename = "Counts")]
+pub struct VerdictCounts {
+    pub passed: usize,
+    pub failed: usize,
+    pub inconclusive: usize,
+}
+
+impl VerdictCounts {
+    pub const fn total(self) -> usize {
+        self.passed + self.failed + self.inconclusive
+    }
+
+    pub const fn add(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Pass => self.passed += 1,
+            Verdict::Fail => self.failed += 1,
+            Verdict::Inconclusive => self.inconclusive += 1,
+        }
+    }
+}
+
+impl FromIterator<Verdict> for VerdictCounts {
+    fn from_iter<I: IntoIterator<Item = Verdict>>(verdicts: I) -> Self {
+        let mut counts = Self::default();
+        verdicts.into_iter().for_each(|verdict| counts.add(verdict));
+        counts
+    }
+}
+
+impl fmt::Display for VerdictCounts {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} passed, {} failed, {} inconclusive", self.passed, self.failed, self.inconclusive)
+    }
+}
+
 /// Why a verdict is inconclusive.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, strum::Display,

@@ -3,6 +3,7 @@
 
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::load::Checker;
+use platebench_plate::is_default;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -139,10 +140,6 @@ const fn one() -> u8 {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "the type that serde requires")]
 const fn is_one(value: &u8) -> bool {
     *value == 1
-}
-
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
 }
 
 impl ScenarioMessage {

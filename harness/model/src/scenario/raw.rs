@@ -4,7 +4,7 @@ use crate::metrics::Metric;
 use crate::scenario::definition::{AUTO_MODEL, MAX_TIMEOUT_S, MAX_TRIALS, ScenarioGains, Spread};
 use crate::scenario::message::{MAX_MESSAGES, ScenarioMessage};
 use crate::scenario::window::ChangingProfile;
-use platebench_plate::RawProfile;
+use platebench_plate::{RawProfile, is_default};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -209,10 +209,6 @@ pub struct RawProfiles {
 
 fn zero() -> RawProfile {
     RawProfile::Number(0.0)
-}
-
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
 }
 
 /// Keys of a table that differ from their defaults.

@@ -1,21 +1,18 @@
 //! Draws maps of coloured cells: a value over listed quantities, and the settling time over control period and loop
 //! delay.
 
-use super::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, TextEnd, Ticks, extent};
+use super::marks::{Axis, AxisValue, Mark, Point, Role, Scale, Shape, Ticks, extent};
+use super::panels::{LegendEntry, Panel, PanelAxis, PanelChart, Symbol};
+use crate::format;
 
 const CLASSES: usize = 10;
 /// Number of orange colours, which are the last. The other colours are blue.
 const BAD_CLASSES: usize = 4;
-const LEGEND_LINE_HEIGHT: f64 = 22.0;
 
 /// Width and height, CSS pixels. A page is two panels wide, a telephone one.
 const HEAT_PANEL: Point = (360.0, 280.0);
-/// Edges of the cells in their panel.
-const LEFT: f64 = 64.0;
-const TOP: f64 = 36.0;
-const RIGHT: f64 = HEAT_PANEL.0 - 14.0;
-const BOTTOM: f64 = HEAT_PANEL.1 - 44.0;
-const MAX_TICKS: usize = 6;
+const MAX_NAMES: usize = 6;
+const MAX_NAME_CHARS: usize = 9;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeatAxis {
@@ -82,110 +79,66 @@ impl HeatFigure {
         }
     }
 
-    fn has_edge(&self) -> bool {
-        self.panels.iter().any(|panel| !panel.edge_lines().is_empty())
+    fn role(&self, class: usize) -> Role {
+        Role::Radius(if self.scale == HeatScale::Diverging { CLASSES - 1 - class } else { class })
     }
 
-    fn panel_grid(&self) -> (usize, usize) {
-        let columns = self.panels.len().clamp(1, 2);
-        (columns, self.panels.len().div_ceil(columns).max(1))
-    }
-
-    fn classes_per_line(&self) -> usize {
-        if self.panel_grid().0 == 1 { 2 } else { 5 }
-    }
-
-    /// Width of the drawing, height of the panels, height of the drawing; CSS pixels.
-    fn size(&self) -> (f64, f64, f64) {
-        let (columns, rows) = self.panel_grid();
-        let height = HEAT_PANEL.1 * rows as f64;
-        let legend_lines = CLASSES.div_ceil(self.classes_per_line()) + usize::from(self.has_edge());
-        (HEAT_PANEL.0 * columns as f64, height, height + legend_lines as f64 * LEGEND_LINE_HEIGHT)
-    }
-
-    fn axes(&self, number: usize, panel: &HeatPanel) -> Axes {
-        let (x, y) = panel_corner(number, self.panel_grid().0, HEAT_PANEL);
-        let count = |axis: &HeatAxis| 0.0..axis.values.len().max(1) as f64;
-        Axes {
-            x: Axis::linear(count(&panel.x), x + LEFT..x + RIGHT),
-            y: Axis::linear(count(&panel.y), y + BOTTOM..y + TOP),
+    /// The chart without its cells.
+    fn layout(&self, edges: &[f64]) -> PanelChart {
+        let class = |(class, [from, to]): (usize, &[f64; 2])| {
+            let text = format!("{} to {}", format::number(*from), format::number(*to));
+            LegendEntry::new(Symbol::Area(self.role(class)), text)
+        };
+        let has_edge = self.panels.iter().any(|panel| !panel.edge_lines().is_empty());
+        let edge = has_edge.then(|| LegendEntry::new(Symbol::Line(Role::Boundary), "edge of the passing cells"));
+        PanelChart {
+            title: self.title.clone(),
+            has_heading: false,
+            panel_size: HEAT_PANEL,
+            columns: self.panels.len().clamp(1, 2),
+            panels: self.panels.iter().map(HeatPanel::layout).collect(),
+            legend: edges.array_windows().enumerate().map(class).chain(edge).collect(),
         }
     }
 
     /// Left, top, width, height of a cell, as shares of the drawing. `None` if it does not exist.
     pub fn cell_area(&self, panel: usize, column: usize, row: usize) -> Option<[f64; 4]> {
-        let Axes { x, y } = self.axes(panel, self.panels.get(panel)?);
-        let [left, right] = [column, column + 1].map(|edge| x.pixel(edge as f64));
-        let [bottom, top] = [row, row + 1].map(|edge| y.pixel(edge as f64));
-        let (width, _, height) = self.size();
-        Some([left / width, top / height, (right - left) / width, (bottom - top) / height])
+        self.layout(&self.edges()).area(panel, unit_cell(column, row))
     }
 
     pub fn svg(&self) -> String {
-        let (width, panel_height, height) = self.size();
         let edges = self.edges();
-        let mut drawing = Drawing::default();
-        for (number, panel) in self.panels.iter().enumerate() {
-            self.draw_panel(&mut drawing, number, panel, &edges);
+        let mut chart = self.layout(&edges);
+        for (panel, drawn) in self.panels.iter().zip(&mut chart.panels) {
+            let cells = panel.values.iter().enumerate().flat_map(|(row, values)| {
+                let cell = |(column, value): (usize, &Option<f64>)| {
+                    Some(Mark::Cell(self.role(class_of((*value)?, &edges)), unit_cell(column, row)))
+                };
+                values.iter().enumerate().filter_map(cell).collect::<Vec<_>>()
+            });
+            drawn.cells = cells.collect();
         }
-        self.draw_legend(&mut drawing, &edges, (width, panel_height));
-        drawing.into_document(&self.title, (width, height))
-    }
-
-    fn role(&self, class: usize) -> Role {
-        Role::Radius(if self.scale == HeatScale::Diverging { CLASSES - 1 - class } else { class })
-    }
-
-    fn draw_panel(&self, drawing: &mut Drawing, number: usize, panel: &HeatPanel, edges: &[f64]) {
-        let axes = self.axes(number, panel);
-        let cells = panel.values.iter().enumerate().flat_map(|(row, values)| {
-            let cell = move |(column, value): (usize, &Option<f64>)| {
-                let corner = (column as f64, row as f64);
-                let class = class_of((*value)?, edges);
-                Some(Mark::Cell(self.role(class), [corner, (corner.0 + 1.0, corner.1 + 1.0)]))
-            };
-            values.iter().enumerate().filter_map(cell)
-        });
-        drawing.marks(&axes, &cells.collect::<Vec<_>>());
-        let lines = panel.edge_lines().into_iter().map(|line| Mark::Line(Role::Boundary, line.to_vec()));
-        drawing.marks(&axes, &lines.collect::<Vec<_>>());
-        let ((left, right), (bottom, top)) =
-            ((axes.x.pixels.start, axes.x.pixels.end), (axes.y.pixels.start, axes.y.pixels.end));
-        drawing.line(Role::Axis, [(left, top), (left, bottom), (right, bottom)]);
-        for tick in heat_ticks(panel.x.values.len().max(1)) {
-            let at = (axes.x.pixel(tick as f64 + 0.5), bottom + 12.0);
-            drawing.text(Role::Text, TextEnd::Centre, at, short(panel.x.values.get(tick)));
-        }
-        for tick in heat_ticks(panel.y.values.len().max(1)) {
-            let at = (left - 6.0, axes.y.pixel(tick as f64 + 0.5));
-            drawing.text(Role::Text, TextEnd::Right, at, short(panel.y.values.get(tick)));
-        }
-        drawing.text(Role::Title, TextEnd::Left, (left, top - 26.0), &panel.title);
-        drawing.text(Role::Text, TextEnd::Left, (left - LEFT + 4.0, top - 12.0), &panel.y.label);
-        drawing.text(Role::Text, TextEnd::Right, (right, bottom + 32.0), &panel.x.label);
-    }
-
-    fn draw_legend(&self, drawing: &mut Drawing, edges: &[f64], (width, top): Point) {
-        let per_line = self.classes_per_line();
-        let place = |entry: usize| {
-            let x = 8.0 + (entry % per_line) as f64 * width / per_line as f64;
-            (x, top + LEGEND_LINE_HEIGHT * (0.5 + (entry / per_line) as f64))
-        };
-        for (class, [from, to]) in edges.array_windows().enumerate() {
-            let (x, y) = place(class);
-            drawing.rectangle(self.role(class), [(x, y - 5.0), (x + 16.0, y + 5.0)]);
-            let text = format!("{} to {}", number(*from), number(*to));
-            drawing.text(Role::Text, TextEnd::Left, (x + 21.0, y), &text);
-        }
-        if self.has_edge() {
-            let (x, y) = place(CLASSES);
-            drawing.line(Role::Boundary, [(x, y), (x + 16.0, y)]);
-            drawing.text(Role::Text, TextEnd::Left, (x + 21.0, y), "edge of the passing cells");
-        }
+        chart.svg()
     }
 }
 
+fn unit_cell(column: usize, row: usize) -> [Point; 2] {
+    let (x, y) = (column as f64, row as f64);
+    [(x, y), (x + 1.0, y + 1.0)]
+}
+
 impl HeatPanel {
+    fn layout(&self) -> Panel {
+        let axis = |axis: &HeatAxis| {
+            let names: Vec<String> =
+                axis.values.iter().map(|name| name.chars().take(MAX_NAME_CHARS).collect()).collect();
+            PanelAxis::names(&axis.label, &names, MAX_NAMES)
+        };
+        let edge = |line: [Point; 2]| Mark::Line(Role::Boundary, line.to_vec());
+        let marks = self.edge_lines().into_iter().map(edge).collect();
+        Panel { title: self.title.clone(), x: axis(&self.x), y: axis(&self.y), cells: Vec::new(), marks }
+    }
+
     fn passes_at(&self, column: usize, row: usize) -> Option<bool> {
         *self.passes.get(row)?.get(column)?
     }
@@ -211,30 +164,6 @@ impl HeatPanel {
 
 fn class_of(value: f64, edges: &[f64]) -> usize {
     edges.partition_point(|edge| *edge <= value).saturating_sub(1).min(CLASSES - 1)
-}
-
-/// Upper left corner of a panel.
-fn panel_corner(number: usize, columns: usize, size: Point) -> Point {
-    (size.0 * (number % columns) as f64, size.1 * (number / columns) as f64)
-}
-
-fn heat_ticks(count: usize) -> impl Iterator<Item = usize> {
-    (0..count).step_by(count.div_ceil(MAX_TICKS).max(1))
-}
-
-fn short(text: Option<&String>) -> &str {
-    let text = text.map_or("", |text| &**text);
-    text.char_indices().nth(9).map_or(text, |(end, _)| text.get(..end).unwrap_or(text))
-}
-
-fn number(value: f64) -> String {
-    let magnitude = value.abs();
-    match magnitude {
-        0.0 => "0".to_owned(),
-        _ if !(1e-3..1e5).contains(&magnitude) => format!("{value:.1e}"),
-        _ if magnitude < 10.0 => format!("{value:.3}"),
-        _ => format!("{value:.1}"),
-    }
 }
 
 /// Width and height, CSS pixels.
@@ -274,59 +203,64 @@ pub struct MapFigure {
 
 impl MapFigure {
     pub fn svg(&self) -> String {
-        let columns = self.columns.max(1);
-        let rows = self.panels.len().div_ceil(columns).max(1);
-        let (width, height) = (MAP_PANEL.0 * columns as f64, MAP_PANEL.1 * rows as f64);
-        let legend = legend_places(self.rig.is_some(), width, height);
-        let legend_bottom = legend.last().map_or(height, |(_, (_, y))| y + LEGEND_LINE_HEIGHT);
-        let mut drawing = Drawing::default();
-        for (number, panel) in self.panels.iter().enumerate() {
-            panel.draw(&mut drawing, panel_corner(number, columns, MAP_PANEL), self.rig.as_ref());
-        }
-        for (entry, at) in &legend {
-            entry.draw(&mut drawing, *at);
-        }
-        drawing.into_document(&self.title, (width, legend_bottom))
+        let classes =
+            (0..=CLASS_EDGES.len()).map(|class| LegendEntry::new(Symbol::Area(Role::Radius(class)), class_text(class)));
+        let entry = |symbol, text| LegendEntry::new(symbol, text);
+        let lines = [
+            entry(Symbol::Line(Role::Boundary), "predicted boundary of stability"),
+            entry(Symbol::Point(Role::Measured, Shape::Disc), "measured boundary"),
+        ];
+        let delay =
+            self.rig.map(|_| entry(Symbol::Line(Role::Delay), "measured loop delay of the rig: median and maximum"));
+        let chart = PanelChart {
+            title: self.title.clone(),
+            has_heading: false,
+            panel_size: MAP_PANEL,
+            columns: self.columns,
+            panels: self.panels.iter().map(|panel| panel.draw(self.rig.as_ref())).collect(),
+            legend: [entry(Symbol::None, "settling time, ms:")]
+                .into_iter()
+                .chain(classes)
+                .chain(lines)
+                .chain(delay)
+                .collect(),
+        };
+        chart.svg()
     }
 }
 
 impl MapPanel {
-    /// Draws nothing without two periods and two delays.
-    fn draw(&self, drawing: &mut Drawing, (left, top): Point, rig: Option<&RigDelay>) {
-        let (Some((periods, half_period)), Some((delays, half_delay))) =
-            (even_range(&self.periods_ms), even_range(&self.delays_ms))
-        else {
-            return;
+    /// The plot is empty without two periods and two delays.
+    fn draw(&self, rig: Option<&RigDelay>) -> Panel {
+        let ranges = even_range(&self.periods_ms).zip(even_range(&self.delays_ms));
+        let axis = |label: &str, range: Option<std::ops::Range<f64>>| {
+            let ticks = |axis: &Axis| Ticks::new(axis.ticks(6), false, |value| format!("{value:.1}"));
+            PanelAxis::new(label, Scale::Linear, range.unwrap_or(0.0..1.0), ticks)
         };
-        let x = Axis::linear(periods, left + 40.0..left + MAP_PANEL.0 - 16.0);
-        let axes = Axes { x, y: Axis::linear(delays, top + MAP_PANEL.1 - 40.0..top + 34.0) };
-        let mut marks = Vec::new();
+        let (periods, delays) = ranges.clone().map(|((periods, _), (delays, _))| (periods, delays)).unzip();
+        let mut panel = Panel {
+            title: self.title.clone(),
+            x: axis("period, ms", periods),
+            y: axis("delay, ms", delays),
+            cells: Vec::new(),
+            marks: Vec::new(),
+        };
+        let Some(((periods, half_period), (delays, half_delay))) = ranges else { return panel };
         for (period, settling) in self.periods_ms.iter().zip(&self.settling_ms) {
             for (class, from, to) in class_runs(settling) {
                 let (Some(first), Some(last)) = (self.delays_ms.get(from), self.delays_ms.get(to)) else { continue };
                 let corners = [(period - half_period, first - half_delay), (period + half_period, last + half_delay)];
-                marks.push(Mark::Cell(Role::Radius(class), corners));
+                panel.cells.push(Mark::Cell(Role::Radius(class), corners));
             }
         }
-        drawing.marks(&axes, &marks);
-        let ticks = |axis: &Axis| Ticks::new(axis.ticks(6), false, |value| format!("{value:.1}"));
-        drawing.frame(&axes, &ticks(&axes.x), &ticks(&axes.y));
-        let mut marks: Vec<Mark> =
-            self.stability_boundary().into_iter().map(|line| Mark::Line(Role::Boundary, line)).collect();
-        let delays = rig.into_iter().flat_map(|rig| [rig.typical_ms, rig.longest_ms]);
-        let delay = |at| Mark::Limit { role: Role::Delay, at: AxisValue::Y(at), text: None };
-        marks.extend(delays.filter(|delay| axes.y.contains(*delay)).map(delay));
-        let inside = self.measured.iter().filter(|(x, y)| axes.x.contains(*x) && axes.y.contains(*y));
-        let point = |at: &Point| {
-            let (role, shape) = (Role::Measured, Shape::Disc);
-            Mark::Point { role, at: *at, shape, radius: 4.0, text: None }
-        };
-        marks.extend(inside.map(point));
-        drawing.marks(&axes, &marks);
-        drawing.text(Role::Title, TextEnd::Left, (left + 76.0, top + 22.0), &self.title);
-        drawing.text(Role::Text, TextEnd::Left, (left + 2.0, top + 22.0), "delay, ms");
-        let corner = (left + MAP_PANEL.0 - 16.0, top + MAP_PANEL.1 - 10.0);
-        drawing.text(Role::Text, TextEnd::Right, corner, "period, ms");
+        panel.marks.extend(self.stability_boundary().into_iter().map(|line| Mark::Line(Role::Boundary, line)));
+        let lines = rig.into_iter().flat_map(|rig| [rig.typical_ms, rig.longest_ms]);
+        let line = |at| Mark::Limit { role: Role::Delay, at: AxisValue::Y(at), text: None };
+        let is_inside = |range: &std::ops::Range<f64>, value| (range.start..=range.end).contains(&value);
+        panel.marks.extend(lines.filter(|delay| is_inside(&delays, *delay)).map(line));
+        let inside = self.measured.iter().filter(|(x, y)| is_inside(&periods, *x) && is_inside(&delays, *y));
+        panel.marks.extend(inside.map(|at| Mark::point(Role::Measured, *at, Shape::Disc, 4.0)));
+        panel
     }
 
     /// Interpolates for each period the smallest delay with a spectral radius of 1.
@@ -375,60 +309,13 @@ fn class_runs(settling_ms: &[Option<f64>]) -> Vec<(usize, usize, usize)> {
     runs
 }
 
-enum LegendEntry {
-    Heading,
-    Class(usize),
-    Boundary,
-    Measured,
-    Delay,
-}
-
-impl LegendEntry {
-    fn text(&self) -> String {
-        let edge = |class: usize| CLASS_EDGES.get(class).copied();
-        match *self {
-            Self::Heading => "settling time, ms:".to_owned(),
-            Self::Class(class) => match (class.checked_sub(1).and_then(edge), edge(class)) {
-                (Some(low), Some(high)) => format!("{low} to {high}"),
-                (Some(low), None) => format!("longer than {low}, or never"),
-                (None, high) => format!("below {}", high.unwrap_or(f64::INFINITY)),
-            },
-            Self::Boundary => "predicted boundary of stability".to_owned(),
-            Self::Measured => "measured boundary".to_owned(),
-            Self::Delay => "measured loop delay of the rig: median and maximum".to_owned(),
-        }
+fn class_text(class: usize) -> String {
+    let edge = |class: usize| CLASS_EDGES.get(class).copied();
+    match (class.checked_sub(1).and_then(edge), edge(class)) {
+        (Some(low), Some(high)) => format!("{low} to {high}"),
+        (Some(low), None) => format!("longer than {low}, or never"),
+        (None, high) => format!("below {}", high.unwrap_or(f64::INFINITY)),
     }
-
-    fn draw(&self, drawing: &mut Drawing, (x, y): Point) {
-        let line = [(x, y), (x + 16.0, y)];
-        let indent = if matches!(self, Self::Heading) { 0.0 } else { 22.0 };
-        match *self {
-            Self::Heading => {}
-            Self::Class(class) => drawing.rectangle(Role::Radius(class), [(x, y - 4.0), (x + 16.0, y + 4.0)]),
-            Self::Boundary => drawing.line(Role::Boundary, line),
-            Self::Measured => drawing.shape(Role::Measured, Shape::Disc, (x + 8.0, y), 4.0),
-            Self::Delay => drawing.line(Role::Delay, line),
-        }
-        drawing.text(Role::Text, TextEnd::Left, (x + indent, y), &self.text());
-    }
-}
-
-/// Entries below `top` with their positions, in lines of at most `width`.
-fn legend_places(has_rig: bool, width: f64, top: f64) -> Vec<(LegendEntry, Point)> {
-    let classes = (0..=CLASS_EDGES.len()).map(LegendEntry::Class);
-    let lines = [LegendEntry::Boundary, LegendEntry::Measured].into_iter().chain(has_rig.then_some(LegendEntry::Delay));
-    let (mut x, mut y) = (4.0, top + LEGEND_LINE_HEIGHT / 2.0);
-    let place = |entry: LegendEntry| {
-        // Characters are about 6.5 px wide.
-        let entry_width = 40.0 + 6.5 * entry.text().chars().count() as f64;
-        if x > 4.0 && x + entry_width > width {
-            (x, y) = (4.0, y + LEGEND_LINE_HEIGHT);
-        }
-        let at = (x, y);
-        x += entry_width;
-        (entry, at)
-    };
-    std::iter::once(LegendEntry::Heading).chain(classes).chain(lines).map(place).collect()
 }
 
 #[cfg(test)]

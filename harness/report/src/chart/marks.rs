@@ -124,6 +124,13 @@ pub(crate) enum Shape {
     InvertedTriangle,
 }
 
+impl Mark {
+    /// A point without a text. The radius is in CSS pixels.
+    pub(crate) const fn point(role: Role, at: Point, shape: Shape, radius: f64) -> Self {
+        Self::Point { role, at, shape, radius, text: None }
+    }
+}
+
 /// Corners in units of the radius. Empty for a shape that is no polygon.
 const fn corners(shape: Shape) -> &'static [Point] {
     match shape {
@@ -154,10 +161,6 @@ impl Axis {
         Self { scale: Scale::Linear, values, pixels }
     }
 
-    pub(crate) const fn logarithmic(values: Range<f64>, pixels: Range<f64>) -> Self {
-        Self { scale: Scale::Logarithmic, values, pixels }
-    }
-
     /// Pixel of a value. A value outside the axis lies at its nearest end.
     pub(crate) fn pixel(&self, value: f64) -> f64 {
         let Range { start, end } = self.values;
@@ -166,10 +169,6 @@ impl Axis {
             Scale::Logarithmic => (value / start).ln() / (end / start).ln(),
         };
         self.pixels.start + share.clamp(0.0, 1.0) * (self.pixels.end - self.pixels.start)
-    }
-
-    pub(crate) fn contains(&self, value: f64) -> bool {
-        (self.values.start..=self.values.end).contains(&value)
     }
 
     /// At most `most` round values: 1, 2 or 5 times a power of ten apart, or powers of ten.
@@ -409,14 +408,15 @@ const WORST_TEXT_RISES: [f64; 8] = [12.0, -12.0, 26.0, -26.0, 40.0, -40.0, 54.0,
 /// Share of the plot's width between a point and its text.
 const POINT_TEXT_DISTANCE: f64 = 0.015;
 /// Mean width of a character and height of a text of 12 px.
-const CHARACTER_PIXELS: (f64, f64) = (6.7, 14.0);
+pub(crate) const CHARACTER_WIDTH: f64 = 6.7;
+const LETTER_HEIGHT: f64 = 14.0;
 
 /// End of the text at the mark, its x, and the corners of the text. Right of an early mark and left
 /// of a late one, a settled response leaves room for text.
 fn text_place(axes: &Axes, (x, y): Point, distance: f64, text: &str) -> (TextEnd, f64, [Point; 2]) {
     let Range { start: left, end: right } = axes.x.pixels;
     let distance = distance * (right - left);
-    let (width, half) = (CHARACTER_PIXELS.0 * text.chars().count() as f64, CHARACTER_PIXELS.1 / 2.0);
+    let (width, half) = (CHARACTER_WIDTH * text.chars().count() as f64, LETTER_HEIGHT / 2.0);
     let (end, at, from) = if x - left < 0.55 * (right - left) {
         (TextEnd::Left, x + distance, x + distance)
     } else {
@@ -623,15 +623,19 @@ mod tests {
         assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
     }
 
+    fn logarithmic(values: Range<f64>, pixels: Range<f64>) -> Axis {
+        Axis { scale: Scale::Logarithmic, values, pixels }
+    }
+
     #[test]
     fn logarithmic_ticks_are_decades() {
-        assert_eq!(Axis::logarithmic(1e-2..1e2, 0.0..1.0).ticks(9), [1e-2, 1e-1, 1.0, 1e1, 1e2]);
-        assert_eq!(Axis::logarithmic(1.0..1e4, 0.0..1.0).ticks(3), [1.0, 1e2, 1e4]);
+        assert_eq!(logarithmic(1e-2..1e2, 0.0..1.0).ticks(9), [1e-2, 1e-1, 1.0, 1e1, 1e2]);
+        assert_eq!(logarithmic(1.0..1e4, 0.0..1.0).ticks(3), [1.0, 1e2, 1e4]);
     }
 
     #[test]
     fn an_axis_ends_at_its_range() {
-        let axis = Axis::logarithmic(1.0..100.0, 10.0..30.0);
+        let axis = logarithmic(1.0..100.0, 10.0..30.0);
         assert_eq!(
             [0.0, 0.1, 1.0, 10.0, 100.0, 1e9].map(|value| axis.pixel(value)),
             [10.0, 10.0, 10.0, 20.0, 30.0, 30.0]

@@ -1,16 +1,14 @@
 //! Draws points on two logarithmic axes: lines of points, and panels of points by colour and shape.
 
 use super::marks::{
-    Axes, Axis, AxisValue, COLOURS, Drawing, Mark, Point, Role, Shape, TextEnd, Ticks, decades, format_power_of_ten,
-    logarithmic_extent, round_ticks,
+    Axis, AxisValue, COLOURS, Mark, Point, Role, Scale, Shape, Ticks, decades, format_power_of_ten, logarithmic_extent,
+    round_ticks,
 };
+use super::panels::{LegendEntry, Panel, PanelAxis, PanelChart, Symbol};
 use std::ops::Range;
 
-/// Width and height. All lengths in this module are in CSS pixels.
-const LOGLOG_SIZE: Point = (720.0, 430.0);
-const LOGLOG_LEGEND_WIDTH: f64 = 236.0;
-const LOGLOG_LEGEND_TOP: f64 = 72.0;
-const LOGLOG_LINE_HEIGHT: f64 = 24.0;
+/// Width and height, CSS pixels.
+const LOGLOG_PANEL: Point = (620.0, 400.0);
 const MAX_LABELS: usize = 9;
 
 #[derive(Debug, Clone, PartialEq)]
@@ -38,66 +36,43 @@ pub struct LogLogChart {
 
 impl LogLogChart {
     pub fn svg(&self) -> String {
-        let (width, height) = LOGLOG_SIZE;
-        let marked = self.vertical_line.iter().map(|(x, _)| *x);
-        let xs = decades(self.series.iter().flat_map(|series| series.points.iter().map(|point| point.0)).chain(marked));
-        let costs = |series: &LogLogSeries| {
-            series.points.iter().map(|point| point.1).chain(series.failed.clone()).collect::<Vec<_>>()
-        };
-        let ys = decades(self.series.iter().flat_map(costs));
+        let line = self.vertical_line.iter();
+        let points = self.series.iter().flat_map(|series| &series.points);
+        let xs = decades(points.clone().map(|point| point.0).chain(line.clone().map(|(x, _)| *x)));
+        let failed = || self.series.iter().flat_map(|series| &series.failed);
+        let ys = decades(points.map(|point| point.1).chain(failed().copied()));
         // The x axis has one more decade at the right for settings without a result.
-        let has_failed = self.series.iter().any(|series| !series.failed.is_empty());
+        let has_failed = failed().next().is_some();
         let edge = xs.end * 10.0_f64.sqrt();
         let right = if has_failed { xs.end * 10.0 } else { xs.end };
-        let axes = Axes {
-            x: Axis::logarithmic(xs.start..right, 70.0..width - LOGLOG_LEGEND_WIDTH),
-            y: Axis::logarithmic(ys, height - 56.0..60.0),
-        };
         let x_text = |value: f64| if value > xs.end * 1.01 { String::new() } else { format_power_of_ten(value) };
-        let mut drawing = Drawing::default();
-        drawing.frame(
-            &axes,
-            &Ticks::new(axes.x.ticks(MAX_LABELS), true, x_text),
-            &Ticks::new(axes.y.ticks(MAX_LABELS), true, format_power_of_ten),
-        );
         let limit = |(x, _): &(f64, String)| Mark::Limit { role: Role::Mark, at: AxisValue::X(*x), text: None };
-        drawing.marks(&axes, &self.vertical_line.iter().map(limit).collect::<Vec<_>>());
+        let mut marks: Vec<Mark> = line.clone().map(limit).collect();
         for (number, series) in self.series.iter().enumerate().rev() {
             let (role, radius) = (Role::Series(number), if series.is_highlighted { 7.0 } else { 4.0 });
-            let point = |at: Point, shape, radius| Mark::Point { role, at, shape, radius, text: None };
-            let mut marks = vec![Mark::Line(role, series.points.clone())];
-            marks.extend(series.points.iter().map(|at| point(*at, disc_or_ring(number), radius)));
-            marks.extend(series.failed.iter().map(|y| point((edge, *y), Shape::Cross, 5.0)));
-            drawing.marks(&axes, &marks);
+            marks.push(Mark::Line(role, series.points.clone()));
+            marks.extend(series.points.iter().map(|at| Mark::point(role, *at, disc_or_ring(number), radius)));
+            marks.extend(series.failed.iter().map(|y| Mark::point(role, (edge, *y), Shape::Cross, 5.0)));
         }
-        drawing.text(Role::Title, TextEnd::Left, (14.0, 20.0), &self.title);
-        drawing.text(Role::Text, TextEnd::Left, (14.0, 44.0), &self.y_label);
-        drawing.text(Role::Text, TextEnd::Right, (width - LOGLOG_LEGEND_WIDTH, height - 10.0), &self.x_label);
-        self.draw_legend(&mut drawing, has_failed);
-        drawing.into_document(&self.title, LOGLOG_SIZE)
-    }
-
-    fn draw_legend(&self, drawing: &mut Drawing, has_failed: bool) {
-        let left = LOGLOG_SIZE.0 - LOGLOG_LEGEND_WIDTH + 18.0;
-        let lines = self.series.len() + usize::from(has_failed) + usize::from(self.vertical_line.is_some());
-        let line_height = LOGLOG_LINE_HEIGHT.min((LOGLOG_SIZE.1 - LOGLOG_LEGEND_TOP) / lines.max(1) as f64);
-        let mut y = LOGLOG_LEGEND_TOP;
-        for (number, series) in self.series.iter().enumerate() {
-            let (role, radius) = (Role::Series(number), if series.is_highlighted { 6.0 } else { 4.0 });
-            drawing.line(role, [(left, y), (left + 22.0, y)]);
-            drawing.shape(role, disc_or_ring(number), (left + 11.0, y), radius);
-            drawing.text(Role::Text, TextEnd::Left, (left + 30.0, y), &series.name);
-            y += line_height;
-        }
-        if has_failed {
-            drawing.shape(Role::Axis, Shape::Cross, (left + 11.0, y), 5.0);
-            drawing.text(Role::Text, TextEnd::Left, (left + 30.0, y), &self.failed_label);
-            y += line_height;
-        }
-        if let Some((_, name)) = &self.vertical_line {
-            drawing.line(Role::Mark, [(left, y), (left + 22.0, y)]);
-            drawing.text(Role::Text, TextEnd::Left, (left + 30.0, y), name);
-        }
+        let names = self.series.iter().enumerate().map(|(number, series)| {
+            LegendEntry::new(Symbol::Point(Role::Series(number), disc_or_ring(number)), &series.name)
+        });
+        let failed = has_failed.then(|| LegendEntry::new(Symbol::Point(Role::Axis, Shape::Cross), &self.failed_label));
+        let line = line.map(|(_, name)| LegendEntry::new(Symbol::Line(Role::Mark), name));
+        let x = PanelAxis::new(&self.x_label, Scale::Logarithmic, xs.start..right, |axis| {
+            Ticks::new(axis.ticks(MAX_LABELS), true, x_text)
+        });
+        let y_ticks = |axis: &Axis| Ticks::new(axis.ticks(MAX_LABELS), true, format_power_of_ten);
+        let y = PanelAxis::new(&self.y_label, Scale::Logarithmic, ys, y_ticks);
+        let chart = PanelChart {
+            title: self.title.clone(),
+            has_heading: true,
+            panel_size: LOGLOG_PANEL,
+            columns: 1,
+            panels: vec![Panel { title: String::new(), x, y, cells: Vec::new(), marks }],
+            legend: names.chain(failed).chain(line).collect(),
+        };
+        chart.svg()
     }
 }
 
@@ -106,14 +81,8 @@ const fn disc_or_ring(series: usize) -> Shape {
     if series >= COLOURS { Shape::Ring } else { Shape::Disc }
 }
 
-const SCATTER_WIDTH: f64 = 900.0;
-const SCATTER_PLOT_HEIGHT: f64 = 250.0;
-const SCATTER_TOP: f64 = 84.0;
-const SCATTER_BOTTOM: f64 = 56.0;
-const SCATTER_LEFT: f64 = 70.0;
-const SCATTER_RIGHT: f64 = SCATTER_WIDTH - 330.0;
-const SCATTER_TITLE_HEIGHT: f64 = 30.0;
-const SCATTER_LINE_HEIGHT: f64 = 19.0;
+/// Width and height, CSS pixels.
+const SCATTER_PANEL: Point = (760.0, 340.0);
 const SCATTER_RADIUS: f64 = 5.0;
 const SHAPES: [Shape; 5] = [Shape::Disc, Shape::Square, Shape::Triangle, Shape::Diamond, Shape::InvertedTriangle];
 
@@ -150,106 +119,64 @@ pub struct ScatterChart {
 
 impl ScatterChart {
     pub fn svg(&self) -> String {
-        let panel_height = SCATTER_TOP + SCATTER_PLOT_HEIGHT + SCATTER_BOTTOM;
         let points = || self.panels.iter().flat_map(|panel| &panel.points);
         let limits = self.panels.iter().flat_map(|panel| panel.x_limits.iter().map(|(x, _)| *x));
         let xs = padded_range(points().filter_map(|point| point.x).chain(limits));
-        let mut drawing = Drawing::default();
-        drawing.text(Role::Title, TextEnd::Left, (14.0, 20.0), &self.title);
-        for (number, panel) in self.panels.iter().enumerate() {
-            let top = SCATTER_TITLE_HEIGHT + panel_height * number as f64 + SCATTER_TOP;
-            self.draw_panel(&mut drawing, panel, top, &xs);
-            self.draw_edge_labels(&mut drawing, panel, top);
-            if number == 0 {
-                self.draw_legend(&mut drawing, top);
-            }
-        }
-        let height = SCATTER_TITLE_HEIGHT + panel_height * self.panels.len() as f64;
-        drawing.into_document(&self.title, (SCATTER_WIDTH, height))
+        let colour = |number: usize| Symbol::Point(Role::Series(number), Shape::Disc);
+        let colours = self.colours.iter().enumerate().map(|(number, name)| LegendEntry::new(colour(number), name));
+        let shapes = self.panels.iter().flat_map(|panel| panel.shapes.iter().enumerate());
+        let shapes = shapes.map(|(number, name)| LegendEntry::new(Symbol::Point(Role::Shape, shape(number)), name));
+        let at_edge = self.colours.iter().enumerate().filter_map(|(number, name)| {
+            let scenes: Vec<&str> = self.panels.iter().flat_map(|panel| panel.shapes_at_edge(number)).collect();
+            let text = || format!("{name} {} in {}", self.edge_label, scenes.join(", "));
+            (!scenes.is_empty()).then(|| LegendEntry::new(colour(number), text()))
+        });
+        let chart = PanelChart {
+            title: self.title.clone(),
+            has_heading: true,
+            panel_size: SCATTER_PANEL,
+            columns: 1,
+            panels: self.panels.iter().map(|panel| panel.draw(&xs, &self.x_label)).collect(),
+            legend: colours.chain(shapes).chain(at_edge).collect(),
+        };
+        chart.svg()
+    }
+}
+
+impl ScatterPanel {
+    fn shapes_at_edge(&self, colour: usize) -> impl Iterator<Item = &str> {
+        let at_edge = self.points.iter().filter(move |point| point.colour == colour && point.x.is_none());
+        at_edge.filter_map(|point| self.shapes.get(point.shape).map(String::as_str))
     }
 
-    /// `top` is the upper edge of the plot.
-    fn draw_panel(&self, drawing: &mut Drawing, panel: &ScatterPanel, top: f64, xs: &Range<f64>) {
-        let bottom = top + SCATTER_PLOT_HEIGHT;
-        let values = panel.points.iter().map(|point| point.y).chain(panel.y_limits.iter().map(|(y, _)| *y));
-        let ys = decades(values.map(|y| if y.is_finite() { y.max(panel.floor) } else { y }));
+    fn draw(&self, xs: &Range<f64>, x_label: &str) -> Panel {
+        let values = self.points.iter().map(|point| point.y).chain(self.y_limits.iter().map(|(y, _)| *y));
+        let ys = decades(values.map(|y| if y.is_finite() { y.max(self.floor) } else { y }));
         // Points without x lie between the last x and the end of the axis.
         let (edge, right) = (xs.end * 1.35, xs.end * 1.8);
-        let axes = Axes {
-            x: Axis::logarithmic(xs.start..right, SCATTER_LEFT..SCATTER_RIGHT),
-            y: Axis::logarithmic(ys, bottom..top),
-        };
-        let has_floor = axes.y.values.start <= panel.floor * 1.01;
+        let has_floor = ys.start <= self.floor * 1.01;
         let y_text = |value: f64| {
-            let below = if has_floor && value <= panel.floor * 1.01 { "≤ " } else { "" };
+            let below = if has_floor && value <= self.floor * 1.01 { "≤ " } else { "" };
             format!("{below}{}", format_power_of_ten(value))
         };
-        drawing.frame(
-            &axes,
-            &Ticks::new(round_ticks(xs), true, |value| value.to_string()),
-            &Ticks::new(axes.y.ticks(usize::MAX), true, y_text),
-        );
-        let mut marks = Vec::new();
-        // Names of neighbouring limits have different heights, so that they do not overlap.
-        let mut x_limits = panel.x_limits.clone();
-        x_limits.sort_by(|a, b| a.0.total_cmp(&b.0));
-        for (number, (x, name)) in x_limits.iter().enumerate() {
-            marks.push(Mark::Limit { role: Role::Mark, at: AxisValue::X(*x), text: None });
-            let height = top - 10.0 - 16.0 * (number % 3) as f64;
-            drawing.text(Role::Text, TextEnd::Left, (axes.x.pixel(*x) - 3.0, height), name);
-        }
-        let y_limits = panel.y_limits.iter().filter(|(y, _)| axes.y.contains(*y));
-        marks.extend(y_limits.map(|(y, name)| {
-            let (at, text) = (AxisValue::Y(*y), Some(name.clone()));
-            Mark::Limit { role: Role::Mark, at, text }
-        }));
-        let drawn = panel.points.iter().filter(|point| point.y.is_finite() && point.x.is_none_or(f64::is_finite));
-        marks.extend(drawn.map(|point| {
-            let (role, shape) = (Role::Series(point.colour), shape(point.shape));
-            let at = (point.x.unwrap_or(edge), point.y.max(panel.floor));
-            Mark::Point { role, at, shape, radius: SCATTER_RADIUS, text: None }
-        }));
-        drawing.marks(&axes, &marks);
-        drawing.text(Role::Title, TextEnd::Left, (14.0, top - 62.0), &panel.y_label);
-        let below = (SCATTER_RIGHT, bottom + SCATTER_BOTTOM - 14.0);
-        drawing.text(Role::Text, TextEnd::Right, below, &self.x_label);
-    }
-
-    fn draw_legend(&self, drawing: &mut Drawing, top: f64) {
-        for (number, name) in self.colours.iter().enumerate() {
-            let x = SCATTER_RIGHT + 24.0 + 150.0 * (number % 2) as f64;
-            let y = top - 62.0 + SCATTER_LINE_HEIGHT * (number / 2) as f64;
-            drawing.shape(Role::Series(number), Shape::Disc, (x, y), SCATTER_RADIUS);
-            drawing.text(Role::Text, TextEnd::Left, (x + 12.0, y), name);
-        }
-    }
-
-    /// Names the shapes, and the points at the right edge by colour.
-    fn draw_edge_labels(&self, drawing: &mut Drawing, panel: &ScatterPanel, top: f64) {
-        let x = SCATTER_RIGHT + 24.0;
-        let mut y = top - 62.0 + SCATTER_LINE_HEIGHT * (self.colours.len().div_ceil(2) + 1) as f64;
-        for (number, name) in panel.shapes.iter().enumerate() {
-            drawing.shape(Role::Shape, shape(number), (x, y), SCATTER_RADIUS);
-            drawing.text(Role::Text, TextEnd::Left, (x + 12.0, y), name);
-            y += SCATTER_LINE_HEIGHT;
-        }
-        if panel.points.iter().any(|point| point.x.is_none()) {
-            y += SCATTER_LINE_HEIGHT / 2.0;
-            let text = format!("at the right edge, {}:", self.edge_label);
-            drawing.text(Role::Text, TextEnd::Left, (x - 6.0, y), &text);
-        }
-        for (colour, name) in self.colours.iter().enumerate() {
-            let at_edge = panel.points.iter().filter(|point| point.colour == colour && point.x.is_none());
-            let shapes: Vec<usize> = at_edge.map(|point| point.shape).collect();
-            if shapes.is_empty() {
-                continue;
-            }
-            y += SCATTER_LINE_HEIGHT - 2.0;
-            drawing.text(Role::Text, TextEnd::Left, (x + 12.0, y), name);
-            for (number, found) in shapes.into_iter().enumerate() {
-                let at = (x + 130.0 + 18.0 * number as f64, y);
-                drawing.shape(Role::Series(colour), shape(found), at, SCATTER_RADIUS);
-            }
+        let limit = |at, name: &String| Mark::Limit { role: Role::Mark, at, text: Some(name.clone()) };
+        let x_limits = self.x_limits.iter().map(|(x, name)| limit(AxisValue::X(*x), name));
+        let y_limits = self.y_limits.iter().filter(|(y, _)| (ys.start..=ys.end).contains(y));
+        let y_limits = y_limits.map(|(y, name)| limit(AxisValue::Y(*y), name));
+        let drawn = self.points.iter().filter(|point| point.y.is_finite() && point.x.is_none_or(f64::is_finite));
+        let drawn = drawn.map(|point| {
+            let at = (point.x.unwrap_or(edge), point.y.max(self.floor));
+            Mark::point(Role::Series(point.colour), at, shape(point.shape), SCATTER_RADIUS)
+        });
+        let marks = x_limits.chain(y_limits).chain(drawn).collect();
+        let x_ticks = |_: &Axis| Ticks::new(round_ticks(xs), true, |value| value.to_string());
+        let y_ticks = |axis: &Axis| Ticks::new(axis.ticks(usize::MAX), true, y_text);
+        Panel {
+            title: String::new(),
+            x: PanelAxis::new(x_label, Scale::Logarithmic, xs.start..right, x_ticks),
+            y: PanelAxis::new(&self.y_label, Scale::Logarithmic, ys.clone(), y_ticks),
+            cells: Vec::new(),
+            marks,
         }
     }
 }
@@ -298,9 +225,13 @@ mod tests {
         let circles: Vec<&str> = svg.split("<circle").skip(1).filter_map(|rest| rest.split('>').next()).collect();
         let count = |class: &str| circles.iter().filter(|circle| circle.contains(class)).count();
         assert_eq!((count("class=\"f-series"), count("class=\"s-series")), (10, 7));
-        let lowest =
-            svg.split(" cy=\"").skip(1).map(|rest| rest.split('"').next().unwrap().parse::<i32>().unwrap()).max();
-        assert!(f64::from(lowest.unwrap()) < 4.0 * (LOGLOG_SIZE.1 - LOGLOG_LINE_HEIGHT / 2.0), "{lowest:?}");
+        let numbers = |name: &str| {
+            let values = svg.split(name).skip(1).filter_map(|rest| rest.split('"').next());
+            values.map(|value| value.parse::<f64>().unwrap()).collect::<Vec<_>>()
+        };
+        let height = svg.split("viewBox=\"").nth(1).and_then(|rest| rest.split(['"', ' ']).nth(3)).unwrap();
+        let lowest = numbers(" cy=\"").into_iter().fold(0.0, f64::max);
+        assert!(lowest < height.parse::<f64>().unwrap(), "{lowest} {height}");
     }
 
     #[test]

@@ -1,20 +1,14 @@
 //! Draws one quantity in rows: small multiples over a few settings, and one line of points per item.
 
 use super::marks::{
-    Axis, Drawing, Point, Role, Shape, TextEnd, decades, format_power_of_ten, logarithmic_extent, round_ticks,
+    Axis, AxisValue, Mark, Point, Role, Scale, Shape, Ticks, decades, format_power_of_ten, logarithmic_extent,
+    round_ticks,
 };
-use std::ops::Range;
+use super::panels::{LegendEntry, Panel, PanelAxis, PanelChart, Symbol};
 
-/// Width and height. All lengths in this module are in CSS pixels.
-const MULTIPLES_PANEL: Point = (216.0, 150.0);
-const MULTIPLES_HEAD: f64 = 62.0;
-const MULTIPLES_LEFT: f64 = 34.0;
-const MULTIPLES_TOP: f64 = 26.0;
-const MULTIPLES_LINE_HEIGHT: f64 = 20.0;
-const MULTIPLES_LEGEND_COLUMNS: usize = 5;
+/// Width and height, CSS pixels.
+const MULTIPLES_PANEL: Point = (216.0, 190.0);
 const MULTIPLES_RADIUS: f64 = 2.6;
-/// Distance of points without a value from the upper edge.
-const NO_VALUE_HEIGHT: f64 = 7.0;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MultiplesPoint {
@@ -44,85 +38,59 @@ pub struct MultiplesChart {
 
 impl MultiplesChart {
     pub fn svg(&self) -> String {
-        let (width, height) = MULTIPLES_PANEL;
-        let (columns, rows) = (self.columns.len().max(1) as f64, self.rows.len() as f64);
-        let legend_lines = self.series.len().div_ceil(MULTIPLES_LEGEND_COLUMNS) as f64 + 1.0;
-        let mut drawing = Drawing::default();
-        drawing.text(Role::Title, TextEnd::Left, (8.0, 14.0), &self.title);
-        let axes = format!("{}, over {}", self.value_label, self.setting_label);
-        drawing.text(Role::Text, TextEnd::Left, (8.0, 34.0), &axes);
-        for (column, name) in self.columns.iter().enumerate() {
-            let at = (width * column as f64 + MULTIPLES_LEFT, MULTIPLES_HEAD - 8.0);
-            drawing.text(Role::Title, TextEnd::Left, at, name);
-        }
-        for (row, panels) in self.panels.iter().enumerate() {
-            for (column, points) in panels.iter().enumerate() {
-                let corner = (width * column as f64, MULTIPLES_HEAD + height * row as f64);
-                self.draw_panel(&mut drawing, corner, self.rows.get(row).map_or("", String::as_str), points);
-            }
-        }
-        let below = MULTIPLES_HEAD + height * rows + MULTIPLES_LINE_HEIGHT;
-        self.draw_legend(&mut drawing, below, width * columns);
-        drawing.into_document(&self.title, (width * columns, below + legend_lines * MULTIPLES_LINE_HEIGHT))
-    }
-
-    fn scale(&self) -> Range<f64> {
         let values = self.panels.iter().flatten().flatten().filter_map(|point| point.value);
-        logarithmic_extent(values).map_or(0.5..20.0, |(low, high)| low / 1.3..high * 1.3)
+        let range = logarithmic_extent(values).map_or((0.5, 20.0), |(low, high)| (low / 1.3, high * 1.3));
+        let panels = self.panels.iter().zip(&self.rows).flat_map(|(panels, row)| {
+            let named = panels.iter().zip(&self.columns);
+            named.map(move |(points, column)| self.panel(format!("{row}, {column}"), points, range))
+        });
+        let names = self
+            .series
+            .iter()
+            .enumerate()
+            .map(|(number, name)| LegendEntry::new(Symbol::Point(Role::Series(number), Shape::Disc), name));
+        let rest = [
+            LegendEntry::new(Symbol::Point(Role::Axis, Shape::Ring), &self.hollow_label),
+            LegendEntry::new(Symbol::Line(Role::Mark), &self.edge_label),
+        ];
+        let chart = PanelChart {
+            title: self.title.clone(),
+            has_heading: true,
+            panel_size: MULTIPLES_PANEL,
+            columns: self.columns.len(),
+            panels: panels.collect(),
+            legend: names.chain(rest).collect(),
+        };
+        chart.svg()
     }
 
-    fn draw_panel(&self, drawing: &mut Drawing, (x0, y0): Point, name: &str, points: &[MultiplesPoint]) {
-        let (left, right) = (x0 + MULTIPLES_LEFT, x0 + MULTIPLES_PANEL.0 - 8.0);
-        let (top, bottom) = (y0 + MULTIPLES_TOP, y0 + MULTIPLES_PANEL.1 - 20.0);
-        let y = Axis::logarithmic(self.scale(), bottom..top + 2.0 * NO_VALUE_HEIGHT);
-        drawing.text(Role::Text, TextEnd::Left, (left, y0 + MULTIPLES_TOP / 2.0), name);
-        for tick in round_ticks(&y.values) {
-            drawing.line(Role::Grid, [(left, y.pixel(tick)), (right, y.pixel(tick))]);
-            drawing.text(Role::Text, TextEnd::Right, (left - 4.0, y.pixel(tick)), &tick.to_string());
-        }
-        drawing.line(Role::Mark, [(left, top + NO_VALUE_HEIGHT), (right, top + NO_VALUE_HEIGHT)]);
-        drawing.line(Role::Axis, [(left, top), (left, bottom), (right, bottom)]);
-        let width = (right - left) / self.settings.len().max(1) as f64;
-        let centre = |setting: usize| left + (setting as f64 + 0.5) * width;
-        for (setting, text) in self.settings.iter().enumerate() {
-            drawing.text(Role::Text, TextEnd::Centre, (centre(setting), bottom + 11.0), text);
-        }
+    fn panel(&self, title: String, points: &[MultiplesPoint], (low, high): (f64, f64)) -> Panel {
+        let no_value = high * 1.25;
         // Points of different series are side by side, so that equal values stay visible.
-        let step = 0.8 * width / self.series.len().max(1) as f64;
-        for point in points {
+        let step = 0.8 / self.series.len().max(1) as f64;
+        let drawn = points.iter().map(|point| {
             let offset = (point.series as f64 - (self.series.len() as f64 - 1.0) / 2.0) * step;
-            let value = point.value.filter(|value| value.is_finite() && *value > 0.0);
-            let height = value.map_or(top + NO_VALUE_HEIGHT, |value| y.pixel(value));
+            let value = point.value.filter(|value| value.is_finite() && *value > 0.0).unwrap_or(no_value);
             let shape = if point.is_hollow { Shape::Ring } else { Shape::Disc };
-            let at = (centre(point.setting) + offset, height);
-            drawing.shape(Role::Series(point.series), shape, at, MULTIPLES_RADIUS);
+            let at = (point.setting as f64 + 0.5 + offset, value);
+            Mark::point(Role::Series(point.series), at, shape, MULTIPLES_RADIUS)
+        });
+        let edge = Mark::Limit { role: Role::Mark, at: AxisValue::Y(no_value), text: None };
+        let ticks = |_: &Axis| Ticks::new(round_ticks(&(low..high)), true, |value| value.to_string());
+        Panel {
+            title,
+            x: PanelAxis::names(&self.setting_label, &self.settings, usize::MAX),
+            y: PanelAxis::new(&self.value_label, Scale::Logarithmic, low..high * 1.5, ticks),
+            cells: Vec::new(),
+            marks: [edge].into_iter().chain(drawn).collect(),
         }
-    }
-
-    fn draw_legend(&self, drawing: &mut Drawing, top: f64, width: f64) {
-        for (number, name) in self.series.iter().enumerate() {
-            let column = (number % MULTIPLES_LEGEND_COLUMNS) as f64;
-            let x = 12.0 + column * width / MULTIPLES_LEGEND_COLUMNS as f64;
-            let y = top + MULTIPLES_LINE_HEIGHT * (number / MULTIPLES_LEGEND_COLUMNS) as f64;
-            drawing.shape(Role::Series(number), Shape::Disc, (x, y), MULTIPLES_RADIUS + 1.0);
-            drawing.text(Role::Text, TextEnd::Left, (x + 10.0, y), name);
-        }
-        let y = top + MULTIPLES_LINE_HEIGHT * self.series.len().div_ceil(MULTIPLES_LEGEND_COLUMNS) as f64;
-        let middle = width / 2.0;
-        drawing.shape(Role::Axis, Shape::Ring, (12.0, y), MULTIPLES_RADIUS + 1.0);
-        drawing.text(Role::Text, TextEnd::Left, (22.0, y), &self.hollow_label);
-        drawing.line(Role::Mark, [(middle, y), (middle + 16.0, y)]);
-        drawing.text(Role::Text, TextEnd::Left, (middle + 22.0, y), &self.edge_label);
     }
 }
 
 const STRIP_WIDTH: f64 = 980.0;
-const STRIP_LEFT: f64 = 300.0;
-const STRIP_RIGHT: f64 = STRIP_WIDTH - 190.0;
-const STRIP_TOP: f64 = 66.0;
-const STRIP_BOTTOM: f64 = 60.0;
 const STRIP_LINE_HEIGHT: f64 = 16.0;
-const STRIP_LEGEND_Y: f64 = 44.0;
+/// Heights of title and labels of the panel.
+const STRIP_MARGINS: f64 = 84.0;
 /// Ratio of the first tick to the left edge: one decade is reserved for values of exactly 0.
 const ZERO_AREA_RATIO: f64 = 10.0;
 
@@ -157,64 +125,63 @@ impl StripChart {
         let positive = values.chain(self.rows.iter().filter_map(|row| row.limit)).filter(|value| *value > 0.0);
         let xs = decades(positive.map(|value| value.max(self.floor)));
         let left = xs.start / ZERO_AREA_RATIO;
-        let axis = Axis::logarithmic(left..xs.end, STRIP_LEFT..STRIP_RIGHT);
         // The position of 0 is in the middle of its decade.
         let zero = left * ZERO_AREA_RATIO.sqrt();
-        let column = |value: f64| axis.pixel(if value > 0.0 { value.max(self.floor) } else { zero });
-        let bottom = STRIP_TOP + STRIP_LINE_HEIGHT * self.rows.len() as f64;
-        let mut drawing = Drawing::default();
-        for decade in axis.ticks(usize::MAX) {
-            let (x, is_first) = (axis.pixel(decade), decade <= left * 1.01);
-            drawing.line(if is_first { Role::Axis } else { Role::Grid }, [(x, STRIP_TOP - 6.0), (x, bottom)]);
-            if !is_first {
-                drawing.text(Role::Text, TextEnd::Centre, (x, bottom + 14.0), &format_power_of_ten(decade));
-            }
-        }
-        drawing.text(Role::Text, TextEnd::Centre, (axis.pixel(zero), bottom + 14.0), "0");
-        for (number, row) in self.rows.iter().enumerate() {
-            row.draw(&mut drawing, STRIP_TOP + STRIP_LINE_HEIGHT * (number as f64 + 0.5), &column);
-        }
-        drawing.text(Role::Title, TextEnd::Left, (14.0, 20.0), &self.title);
-        drawing.text(Role::Text, TextEnd::Right, (STRIP_RIGHT, bottom + 40.0), &self.x_label);
-        self.draw_legend(&mut drawing);
-        drawing.into_document(&self.title, (STRIP_WIDTH, bottom + STRIP_BOTTOM))
-    }
-
-    fn draw_legend(&self, drawing: &mut Drawing) {
-        let y = STRIP_LEGEND_Y;
-        let mut x = 20.0;
-        for (number, name) in self.colours.iter().enumerate() {
-            drawing.shape(Role::Series(number), Shape::Disc, (x, y), 4.0);
-            drawing.text(Role::Text, TextEnd::Left, (x + 10.0, y), name);
-            x += 90.0;
-        }
-        drawing.shape(Role::Series(0), Shape::Ring, (x, y), 6.0);
-        drawing.text(Role::Text, TextEnd::Left, (x + 14.0, y), &self.chosen_label);
-        x += 190.0;
-        drawing.rectangle(Role::Shape, [(x - 1.0, y - 7.0), (x + 1.0, y + 7.0)]);
-        drawing.text(Role::Text, TextEnd::Left, (x + 10.0, y), &self.limit_label);
+        let column = |value: f64| if value > 0.0 { value.max(self.floor) } else { zero };
+        let x_ticks = |axis: &Axis| {
+            let decades = axis.ticks(usize::MAX).into_iter().filter(|decade| *decade > left * 1.01);
+            let mut ticks = Ticks::new(decades.collect(), true, format_power_of_ten);
+            ticks.texts.insert(0, (zero, "0".to_owned()));
+            ticks
+        };
+        let name = |row: &StripRow| match &*row.note {
+            "" => row.name.clone(),
+            note => format!("{} ({note})", row.name),
+        };
+        let names: Vec<String> = self.rows.iter().map(name).collect();
+        let marks = self.rows.iter().enumerate().flat_map(|(number, row)| row.marks(number as f64, &column));
+        let panel = Panel {
+            title: String::new(),
+            x: PanelAxis::new(&self.x_label, Scale::Logarithmic, left..xs.end, x_ticks),
+            y: PanelAxis::names("", &names, usize::MAX).downwards(),
+            cells: Vec::new(),
+            marks: marks.collect(),
+        };
+        let colours = self
+            .colours
+            .iter()
+            .enumerate()
+            .map(|(number, name)| LegendEntry::new(Symbol::Point(Role::Series(number), Shape::Disc), name));
+        let rest = [
+            LegendEntry::new(Symbol::Point(Role::Series(0), Shape::Ring), &self.chosen_label),
+            LegendEntry::new(Symbol::Line(Role::Axis), &self.limit_label),
+        ];
+        let chart = PanelChart {
+            title: self.title.clone(),
+            has_heading: true,
+            panel_size: (STRIP_WIDTH, STRIP_MARGINS + STRIP_LINE_HEIGHT * self.rows.len() as f64),
+            columns: 1,
+            panels: vec![panel],
+            legend: colours.chain(rest).collect(),
+        };
+        chart.svg()
     }
 }
 
 impl StripRow {
-    fn draw(&self, drawing: &mut Drawing, y: f64, column: &dyn Fn(f64) -> f64) {
-        drawing.text(Role::Text, TextEnd::Right, (STRIP_LEFT - 8.0, y), &self.name);
-        if !self.note.is_empty() {
-            drawing.text(Role::Title, TextEnd::Left, (STRIP_RIGHT + 8.0, y), &self.note);
-        }
-        if let Some(x) = self.limit.map(column) {
-            let half = STRIP_LINE_HEIGHT / 2.0 - 1.0;
-            drawing.rectangle(Role::Shape, [(x - 1.0, y - half), (x + 1.0, y + half)]);
-        }
+    fn marks(&self, top: f64, column: &impl Fn(f64) -> f64) -> Vec<Mark> {
+        let limit = self.limit.map(column).map(|x| Mark::Line(Role::Axis, vec![(x, top + 0.1), (x, top + 0.9)]));
+        let mut marks: Vec<Mark> = limit.into_iter().collect();
         // The circle of the first colour is the smallest and is drawn last, so that circles with the
         // same value are all visible.
         for (colour, value) in self.values.iter().filter(|(_, value)| value.is_finite()).rev() {
-            let (at, role) = ((column(*value), y), Role::Series(*colour));
-            drawing.shape(role, Shape::Disc, at, 2.5 + *colour as f64);
+            let (at, role) = ((column(*value), top + 0.5), Role::Series(*colour));
+            marks.push(Mark::point(role, at, Shape::Disc, 2.5 + *colour as f64));
             if *colour == self.chosen_colour {
-                drawing.shape(role, Shape::Ring, at, 7.0);
+                marks.push(Mark::point(role, at, Shape::Ring, 7.0));
             }
         }
+        marks
     }
 }
 

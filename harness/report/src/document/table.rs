@@ -37,7 +37,14 @@ pub struct Cell {
     pub link: Option<String>,
     /// Small lines below the text on a page; in other formats they follow the text after commas.
     pub notes: Vec<String>,
+    /// Follows the text. Empty for none. CSV contains the text only.
+    pub unit: &'static str,
+    /// True for a name or a digest.
+    pub is_code: bool,
 }
+
+/// Text of a cell without a value.
+pub const NOTHING: &str = "–";
 
 impl Column {
     /// A column of numbers, aligned right.
@@ -71,6 +78,15 @@ impl Cell {
         Self { verdict: Some(verdict), ..Self::from(verdict.name()) }
     }
 
+    pub fn code(text: impl Into<String>) -> Self {
+        Self { is_code: true, ..Self::from(text) }
+    }
+
+    #[must_use]
+    pub fn with_unit(self, unit: &'static str) -> Self {
+        Self { unit, ..self }
+    }
+
     #[must_use]
     pub fn with_verdict(self, verdict: Verdict) -> Self {
         Self { verdict: Some(verdict), ..self }
@@ -89,7 +105,8 @@ impl Cell {
     fn line(&self) -> String {
         let sign = self.verdict.map(|verdict| format!("{} ", format::sign(verdict))).unwrap_or_default();
         let parts: Vec<&str> = std::iter::once(&self.text).chain(&self.notes).map(String::as_str).collect();
-        format!("{sign}{}", parts.join(", "))
+        let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
+        format!("{sign}{}{unit}", parts.join(", "))
     }
 
     fn html(&self) -> Markup {
@@ -97,6 +114,9 @@ impl Cell {
             @match (&self.link, self.verdict) {
                 (Some(link), _) => a href=(link) { (self.text) },
                 (None, Some(verdict)) => (verdict_badge(verdict, &self.text)),
+                (None, None) if self.is_code => code { (self.text) },
+                (None, None) if self.text == NOTHING => span.nothing { (self.text) },
+                (None, None) if !self.unit.is_empty() => span { (self.text) " " span.unit { (self.unit) } },
                 (None, None) => (self.text),
             }
             @for note in &self.notes { span.file { (note) } }
@@ -191,9 +211,14 @@ impl Table {
     }
 
     pub(crate) fn html(&self) -> Markup {
+        self.html_as("Table", "stacked")
+    }
+
+    /// `class` selects rules of the page's style.
+    pub(crate) fn html_as(&self, label: &str, class: &str) -> Markup {
         html! {
-            div.scroll role="group" aria-label="Table" tabindex="0" {
-                table.stacked {
+            div.scroll role="group" aria-label=(label) tabindex="0" {
+                table class=(class) {
                     thead { tr { @for column in &self.columns { th class=[column.class()] scope="col" {
                         (column.name)
                         @if !column.unit.is_empty() { ", " span.unit { (column.unit) } }

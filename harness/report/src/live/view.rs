@@ -1,19 +1,19 @@
 //! Runs the thread that reads rows and draws frames.
 
 use crate::live::draw::draw;
-use crate::live::events::{LiveViewError, MAX_CELLS, RunDescription, ViewEvent, watch_keys};
+use crate::live::events::{LiveViewError, MAX_CELLS, RunDescription, watch_keys};
 use crate::live::screen::Screen;
 use crate::live::screen::{CapturedLines, StderrCapture};
-use crate::live::view_state::ViewState;
+use crate::live::view_state::{FinishedCounts, ViewState};
 use crossterm::terminal::size;
-use platebench_engine::TapReader;
+use platebench_engine::{Event, TapReader};
 use ratatui::Terminal;
 use ratatui::backend::{Backend, CrosstermBackend};
 use rustix::process::{Signal, getpid, kill_process};
 use std::io::BufWriter;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -26,17 +26,20 @@ const FRAME_CAPACITY: usize = 1 << 16;
 const LAST_FRAME_TIMEOUT: Duration = Duration::from_millis(500);
 const MAX_MESSAGES: usize = 64;
 
-#[derive(Debug)]
-enum ViewMessage {
-    Event(ViewEvent),
-    End,
+/// What the view knows of the run besides its rows.
+#[derive(Debug, Default)]
+struct RunState {
+    finished: FinishedCounts,
+    /// Replaces the rig of the description.
+    rig: Option<String>,
+    is_over: bool,
 }
 
 /// The drop of this value ends the view and restores the terminal.
 #[derive(Debug)]
 pub struct LiveView {
     // The order of the fields is the order of their drops: frames, screen, standard error.
-    messages: Sender<ViewMessage>,
+    sender: ViewSender,
     finished: Receiver<()>,
     /// Set if the terminal is gone or restored. The view then draws no frame and reads no key.
     is_stopped: Arc<AtomicBool>,
@@ -57,12 +60,12 @@ impl LiveView {
         let is_stopped = Arc::new(AtomicBool::new(false));
         let writer = BufWriter::with_capacity(FRAME_CAPACITY, Screen::frame_writer(Arc::clone(&is_stopped))?);
         let mut terminal = Terminal::new(CrosstermBackend::new(writer))?;
-        let (message_sender, messages) = channel();
+        let sender = ViewSender::default();
         let (end, finished) = channel::<()>();
         let mut view_thread = ViewThread {
             state: ViewState::new(run),
             tap_reader,
-            messages,
+            run: sender.clone(),
             captured_lines: stderr_capture.as_ref().map(StderrCapture::lines),
             is_stopped: Arc::clone(&is_stopped),
         };
@@ -72,22 +75,15 @@ impl LiveView {
             // An error means that the terminal is gone. Its hang-up signal then ends the run.
             let _ = view_thread.run(&mut terminal);
         })?;
-        Ok(Self {
-            messages: message_sender,
-            finished,
-            is_stopped,
-            screen: Some(screen),
-            _stderr_capture: stderr_capture,
-        })
+        Ok(Self { sender, finished, is_stopped, screen: Some(screen), _stderr_capture: stderr_capture })
     }
 
-    pub fn send(&self, event: ViewEvent) {
-        // Fails only if the view has ended.
-        let _ = self.messages.send(ViewMessage::Event(event));
+    pub fn show(&self, event: &Event) {
+        self.sender.lock().finished.add(event);
     }
 
     pub fn sender(&self) -> ViewSender {
-        ViewSender(self.messages.clone())
+        self.sender.clone()
     }
 
     /// Makes the key q end the program like Ctrl-C.
@@ -107,19 +103,23 @@ impl LiveView {
     }
 }
 
-#[derive(Debug, Clone)]
-pub struct ViewSender(Sender<ViewMessage>);
+#[derive(Debug, Clone, Default)]
+pub struct ViewSender(Arc<Mutex<RunState>>);
 
 impl ViewSender {
-    pub fn send(&self, event: ViewEvent) {
-        let _ = self.0.send(ViewMessage::Event(event));
+    /// Shows the location of the rig instead of its name.
+    pub fn set_rig(&self, location: String) {
+        self.lock().rig = Some(location);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, RunState> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Drop for LiveView {
     fn drop(&mut self) {
-        // Clones of the sender may still exist, so a closed channel cannot signal the end.
-        let _ = self.messages.send(ViewMessage::End);
+        self.sender.lock().is_over = true;
         // The terminal is restored after the last frame or after the time-out.
         let _ = self.finished.recv_timeout(LAST_FRAME_TIMEOUT);
         self.is_stopped.store(true, Ordering::Relaxed);
@@ -130,7 +130,7 @@ impl Drop for LiveView {
 struct ViewThread {
     state: ViewState,
     tap_reader: TapReader,
-    messages: Receiver<ViewMessage>,
+    run: ViewSender,
     captured_lines: Option<Arc<Mutex<CapturedLines>>>,
     is_stopped: Arc<AtomicBool>,
 }
@@ -139,14 +139,8 @@ impl ViewThread {
     fn run<B: Backend>(&mut self, terminal: &mut Terminal<B>) -> Result<(), B::Error> {
         let mut drawn: Option<Instant> = None;
         loop {
-            let is_over = match self.messages.recv_timeout(POLL_INTERVAL) {
-                Ok(ViewMessage::Event(event)) => {
-                    self.state.apply_event(event);
-                    false
-                }
-                Err(RecvTimeoutError::Timeout) => false,
-                Ok(ViewMessage::End) | Err(RecvTimeoutError::Disconnected) => true,
-            };
+            thread::sleep(POLL_INTERVAL);
+            let is_over = self.run.lock().is_over;
             for _ in 0..MAX_ROWS_PER_POLL {
                 let Some(row) = self.tap_reader.next_row() else { break };
                 self.state.add_row(&row);
@@ -156,6 +150,12 @@ impl ViewThread {
             }
             if is_over || drawn.is_none_or(|drawn| drawn.elapsed() >= FRAME_INTERVAL) {
                 self.state.counts = self.tap_reader.counts();
+                let run = self.run.lock();
+                self.state.finished = run.finished;
+                if let Some(rig) = &run.rig {
+                    self.state.rig.clone_from(rig);
+                }
+                drop(run);
                 if let Some(captured) = &self.captured_lines {
                     self.state.messages =
                         captured.lock().unwrap_or_else(PoisonError::into_inner).last_lines(MAX_MESSAGES);

@@ -1,23 +1,39 @@
 //! Holds what the view draws: counts, newest rows, and minimum and maximum of each signal per time slice.
 
-use crate::live::events::ViewEvent;
-use crate::live::events::{RunDescription, ScenarioDescription};
+use crate::live::events::RunDescription;
+use platebench_engine::Clock;
 use platebench_engine::live_tap::{TapCounts, TapRow};
-use platebench_model::record::Verdict;
+use platebench_model::record::{Event, VerdictCounts};
+use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Column, Row};
 use std::collections::VecDeque;
+
+/// Half width of the band in % if no expectation has one, as in the paper for the response time.
+const BAND_PERCENT: f64 = 5.0;
+/// Longest part of a trial that the view draws. It draws the last part.
+const MAX_WINDOW_S: f64 = 10.0;
 
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct FinishedCounts {
     pub(crate) trials: u64,
-    pub(crate) passed: usize,
-    pub(crate) failed: usize,
-    pub(crate) inconclusive: usize,
+    pub(crate) scenarios: VerdictCounts,
+}
+
+impl FinishedCounts {
+    pub(crate) const fn add(&mut self, event: &Event) {
+        match event {
+            Event::TrialFinished { .. } => self.trials += 1,
+            Event::ScenarioFinished { verdict, .. } => self.scenarios.add(*verdict),
+            _ => {}
+        }
+    }
 }
 
 #[derive(Debug)]
 pub(crate) struct ViewState {
     pub(crate) run: RunDescription,
+    /// Name or location of the rig.
+    pub(crate) rig: String,
     /// Indices of scenario and trial.
     newest_trial: Option<(usize, u32)>,
     pub(crate) newest_row: Option<Row>,
@@ -30,6 +46,7 @@ pub(crate) struct ViewState {
 impl ViewState {
     pub(crate) fn new(run: RunDescription) -> Self {
         Self {
+            rig: run.plan.rig.clone(),
             run,
             newest_trial: None,
             newest_row: None,
@@ -47,28 +64,40 @@ impl ViewState {
         self.newest_trial = playing;
         self.newest_row = Some(tap_row.row);
         if is_new && let Some(scenario) = self.current_scenario() {
-            self.history = SignalHistory::new(scenario.window_s(), scenario.spacing_s);
+            let window_s = self.duration_s(scenario).map_or(MAX_WINDOW_S, |duration| duration.min(MAX_WINDOW_S));
+            let spacing = scenario.trace_step.min(scenario.controller.period);
+            self.history = SignalHistory::new(window_s, spacing.seconds());
         }
         self.history.push(&tap_row.row);
     }
 
-    pub(crate) fn current_trial(&self) -> Option<(&ScenarioDescription, u64)> {
+    /// `None` if the operator ends the trial.
+    pub(crate) fn duration_s(&self, scenario: &Scenario) -> Option<f64> {
+        self.run.has_end.then(|| scenario.duration.seconds())
+    }
+
+    pub(crate) fn is_lockstep(&self) -> bool {
+        matches!(self.run.plan.clock, Clock::Lockstep { .. })
+    }
+
+    pub(crate) fn current_trial(&self) -> Option<(&Scenario, u64)> {
         self.newest_trial.and_then(|(_, trial)| Some((self.current_scenario()?, u64::from(trial) + 1)))
     }
 
-    fn current_scenario(&self) -> Option<&ScenarioDescription> {
-        self.run.scenarios.get(self.newest_trial?.0)
+    fn current_scenario(&self) -> Option<&Scenario> {
+        self.run.plan.scenarios.get(self.newest_trial?.0)
     }
+}
 
-    pub(crate) fn apply_event(&mut self, event: ViewEvent) {
-        match event {
-            ViewEvent::RigLocation(location) => self.run.rig = location,
-            ViewEvent::TrialFinished => self.finished.trials += 1,
-            ViewEvent::ScenarioFinished(Verdict::Pass) => self.finished.passed += 1,
-            ViewEvent::ScenarioFinished(Verdict::Fail) => self.finished.failed += 1,
-            ViewEvent::ScenarioFinished(Verdict::Inconclusive) => self.finished.inconclusive += 1,
-        }
-    }
+pub(crate) fn band_percent(scenario: &Scenario) -> f64 {
+    let mut banded = scenario.expectations.iter().filter(|expectation| expectation.metric.has_band());
+    let band = banded.find(|expectation| expectation.signal == "amplitude_um");
+    band.map_or(BAND_PERCENT, |expectation| expectation.band_percent)
+}
+
+pub(crate) fn band(scenario: &Scenario, setpoint_um: f64) -> Option<[f64; 2]> {
+    let half = setpoint_um.abs() * band_percent(scenario) / 100.0;
+    (half > 0.0).then_some([setpoint_um - half, setpoint_um + half])
 }
 
 /// Slices per window: two for each of 256 characters, because a Braille character has two columns.

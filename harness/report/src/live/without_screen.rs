@@ -2,8 +2,7 @@
 
 use crate::live::events::LiveViewError;
 use crate::live::events::RunDescription;
-use crate::live::events::ViewEvent;
-use platebench_engine::TapReader;
+use platebench_engine::{Event, TapReader};
 
 #[derive(Debug)]
 pub enum LiveView {}
@@ -16,7 +15,7 @@ impl LiveView {
         Err(LiveViewError::NotBuilt)
     }
 
-    pub fn send(&self, _: ViewEvent) {
+    pub fn show(&self, _: &Event) {
         match *self {}
     }
 
@@ -30,7 +29,7 @@ impl LiveView {
 }
 
 impl ViewSender {
-    pub fn send(&self, _: ViewEvent) {
+    pub fn set_rig(&self, _: String) {
         match *self {}
     }
 }

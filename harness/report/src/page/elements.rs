@@ -20,7 +20,12 @@ pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioReco
 }
 
 pub(super) fn file_link(path: &str) -> Markup {
-    html! { @if !path.is_empty() { a href={ "./" (percent_encode_path(path)) } { (path) } } }
+    html! { @if let Some(link) = link_to(path) { a href=(link) { (path) } } }
+}
+
+/// Address of a file in the run folder.
+pub(super) fn link_to(path: &str) -> Option<String> {
+    (!path.is_empty()).then(|| format!("./{}", percent_encode_path(path)))
 }
 
 pub(super) fn trace_link(trial: &TrialRecord) -> Markup {

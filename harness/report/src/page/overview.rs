@@ -1,11 +1,11 @@
 //! Writes the parts of the page about the whole run: result, what did not pass, requirements, cost,
 //! boards, environment, and the list of scenarios next to the page.
 
-use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict, with_unit};
+use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict};
 use super::scenario::symptom_remark;
 use super::trace_data::{TRACE_CHANGED, TraceData};
 use crate::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
-use crate::document::verdict_badge;
+use crate::document::{Cell, Column, Table, verdict_badge};
 use crate::record_queries::CauseGroup;
 use crate::text::history::RunHistory;
 use crate::text::timing;
@@ -16,14 +16,12 @@ use platebench_model::quoted;
 use platebench_model::record::{
     CostTrend, EarlierCost, ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict,
 };
-use platebench_model::trace::Column;
 use std::collections::BTreeSet;
 
 const MAX_CLOSEST: usize = 5;
 
 pub(super) fn head(record: &RunRecord) -> Markup {
-    let scenarios = format::VerdictCounts::of_scenarios(record);
-    let expectations = format::VerdictCounts::of_expectations(record);
+    let (scenarios, expectations) = (record.scenario_counts(), record.expectation_counts());
     let tiles = [
         ("failed", Verdict::Fail, scenarios.failed, expectations.failed),
         ("inconclusive", Verdict::Inconclusive, scenarios.inconclusive, expectations.inconclusive),
@@ -57,96 +55,80 @@ pub(super) fn head(record: &RunRecord) -> Markup {
     }
 }
 
-pub(super) fn not_passed_section(
-    record: &RunRecord,
-    data: &[TraceData],
-    plots: &[Markup],
-    history: &RunHistory,
-    changed: &BTreeSet<String>,
-) -> Markup {
-    let mut groups = record_queries::cause_groups(record);
-    // The newest change is the likeliest cause, so what it broke comes first.
-    let is_new = |(_, scenario, index): &(usize, &ScenarioRecord, usize)| history.is_new(record, scenario, *index);
-    for group in &mut groups {
-        group.members.sort_by_key(|member| !is_new(member));
-    }
-    groups.sort_by_key(|group| (group.verdict != Verdict::Fail, !group.members.first().is_some_and(is_new)));
-    let (shared, alone): (Vec<_>, Vec<_>) = groups.into_iter().partition(|group| group.members.len() > 1);
-    let (failed, inconclusive): (Vec<_>, Vec<_>) = shared.iter().partition(|group| group.verdict == Verdict::Fail);
-    let indices = |place: usize| -> Vec<usize> {
-        alone
-            .iter()
-            .flat_map(|group| &group.members)
-            .filter(|member| member.0 == place)
-            .map(|member| member.2)
-            .collect()
-    };
-    let mut open: Vec<(usize, Vec<usize>)> = sorted_by_verdict(record)
-        .into_iter()
-        .map(|(place, _)| (place, indices(place)))
-        .filter(|(_, indices)| !indices.is_empty())
-        .collect();
-    let scenario_verdict = |place: usize| record.scenarios.get(place).map(|scenario| scenario.verdict);
-    let has_new =
-        |place: usize| alone.iter().flat_map(|group| &group.members).any(|member| member.0 == place && is_new(member));
-    open.sort_by_key(|(place, _)| (scenario_verdict(*place) != Some(Verdict::Fail), !has_new(*place)));
-    let missed = record_queries::required_not_applicable(record);
-    let is_empty = shared.is_empty() && alone.is_empty() && missed.is_empty();
-    html! {
-        @if !is_empty || !changed.is_empty() {
-            section aria-labelledby="open" {
-                h2 id="open" { @if is_empty { "Changed traces" } @else { "What did not pass" } }
-                ol.open {
-                    @for (index, scenario) in record.scenarios.iter().enumerate() {
-                        (changed_traces(index, scenario, changed))
-                    }
-                    @for scenario in missed {
-                        li class=(Verdict::Fail) {
-                            p.what {
-                                (verdict_badge(Verdict::Fail, Verdict::Fail.name())) " " (scenario.title) " "
-                                span.file { (scenario.file) }
-                            }
-                            p.why { (format::not_applicable(scenario)) }
+/// What did not pass, as cards.
+pub(super) struct NotPassed<'a> {
+    pub(super) record: &'a RunRecord,
+    /// By index of the scenario, like `plots`.
+    pub(super) data: &'a [TraceData],
+    pub(super) plots: &'a [Markup],
+    pub(super) history: &'a RunHistory,
+    /// Traces that were changed after the run.
+    pub(super) changed: &'a BTreeSet<String>,
+}
+
+impl NotPassed<'_> {
+    pub(super) fn section(&self) -> Markup {
+        let mut groups = record_queries::cause_groups(self.record);
+        // The newest change is the likeliest cause, so what it broke comes first.
+        let is_new =
+            |(_, scenario, index): &(usize, &ScenarioRecord, usize)| self.history.is_new(self.record, scenario, *index);
+        for group in &mut groups {
+            group.members.sort_by_key(|member| !is_new(member));
+        }
+        groups.sort_by_key(|group| (group.verdict != Verdict::Fail, !group.members.first().is_some_and(is_new)));
+        let (shared, alone): (Vec<_>, Vec<_>) = groups.into_iter().partition(|group| group.members.len() > 1);
+        let (failed, inconclusive): (Vec<_>, Vec<_>) = shared.iter().partition(|group| group.verdict == Verdict::Fail);
+        let indices = |place: usize| -> Vec<usize> {
+            let members = alone.iter().flat_map(|group| &group.members);
+            members.filter(|member| member.0 == place).map(|member| member.2).collect()
+        };
+        let open = sorted_by_verdict(self.record).into_iter();
+        let open = open.map(|(place, scenario)| (place, scenario, indices(place)));
+        let mut open: Vec<_> = open.filter(|(.., indices)| !indices.is_empty()).collect();
+        let has_new = |place: usize| {
+            alone.iter().flat_map(|group| &group.members).any(|member| member.0 == place && is_new(member))
+        };
+        open.sort_by_key(|(place, scenario, _)| (scenario.verdict != Verdict::Fail, !has_new(*place)));
+        let missed = record_queries::required_not_applicable(self.record);
+        let is_empty = shared.is_empty() && alone.is_empty() && missed.is_empty();
+        html! {
+            @if !is_empty || !self.changed.is_empty() {
+                section aria-labelledby="open" {
+                    h2 id="open" { @if is_empty { "Changed traces" } @else { "What did not pass" } }
+                    ol.open {
+                        @for (index, scenario) in self.record.scenarios.iter().enumerate() {
+                            (self.changed_traces(index, scenario))
                         }
+                        @for scenario in missed {
+                            li class=(Verdict::Fail) {
+                                p.what {
+                                    (verdict_badge(Verdict::Fail, Verdict::Fail.name())) " " (scenario.title) " "
+                                    span.file { (scenario.file) }
+                                }
+                                p.why { (format::not_applicable(scenario)) }
+                            }
+                        }
+                        @for group in failed { (self.cause_card(group)) }
+                        @for (place, scenario, indices) in open {
+                            (self.card(scenario.verdict, "", (place, scenario), &indices, &Markup::default()))
+                        }
+                        @for group in inconclusive { (self.cause_card(group)) }
                     }
-                    @for group in failed { (cause_card(record, group, data, plots, history, changed)) }
-                    @for (place, indices) in open {
-                        (not_passed_card(record, place, &indices, data.get(place), plots.get(place), history, changed))
-                    }
-                    @for group in inconclusive { (cause_card(record, group, data, plots, history, changed)) }
                 }
             }
         }
     }
-}
 
-/// Shows the first expectation of the group; the list of the others is folded.
-fn cause_card(
-    record: &RunRecord,
-    group: &CauseGroup<'_>,
-    data: &[TraceData],
-    plots: &[Markup],
-    history: &RunHistory,
-    changed: &BTreeSet<String>,
-) -> Markup {
-    let Some(&(place, scenario, index)) = group.members.first() else { return Markup::default() };
-    html! {
-        li class=(group.verdict) {
-            p.what {
-                (verdict_badge(group.verdict, group.verdict.name())) " " (format::group_size(group)) ". First: "
-                a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
-                " " span.file { (scenario.file) }
-            }
-            (symptom_notice(scenario))
-            (not_passed_item(record, scenario, index, data.get(place), history, changed))
-            @if let Some(plot) = plots.get(place) { (plot) }
+    /// Shows the first expectation of the group; the list of the others is folded.
+    fn cause_card(&self, group: &CauseGroup<'_>) -> Markup {
+        let Some(&(place, scenario, index)) = group.members.first() else { return Markup::default() };
+        let others = html! {
             details {
                 summary { "All " (format::count(group.members.len(), "expectation")) " with this cause" }
                 ul {
                     @for (place, scenario, indices) in group.scenarios() {
                         li {
-                            a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
-                            " " span.file { (scenario.file) } ": "
+                            (scenario_link(place, scenario)) ": "
                             @for (number, index) in indices.iter().enumerate() {
                                 @if number > 0 { ", " }
                                 @if let Some(found) = scenario.expectations.get(*index) { code { (found.name) } }
@@ -155,110 +137,101 @@ fn cause_card(
                     }
                 }
             }
+        };
+        let intro = format!("{}. First: ", format::group_size(group));
+        self.card(group.verdict, &intro, (place, scenario), &[index], &others)
+    }
+
+    /// The plot follows the first expectation.
+    fn card(
+        &self,
+        verdict: Verdict,
+        intro: &str,
+        (place, scenario): (usize, &ScenarioRecord),
+        indices: &[usize],
+        further: &Markup,
+    ) -> Markup {
+        html! {
+            li class=(verdict) {
+                p.what { (verdict_badge(verdict, verdict.name())) " " (intro) (scenario_link(place, scenario)) }
+                @if let Some(remark) = symptom_remark(scenario) { p.notice { (remark) } }
+                @for (number, index) in indices.iter().enumerate() {
+                    (self.item(scenario, *index, self.data.get(place)))
+                    @if number == 0 { @if let Some(plot) = self.plots.get(place) { (plot) } }
+                }
+                (further)
+            }
         }
     }
-}
 
-fn symptom_notice(scenario: &ScenarioRecord) -> Markup {
-    html! { @if let Some(remark) = symptom_remark(scenario) { p.notice { (remark) } } }
-}
-
-fn changed_traces(index: usize, scenario: &ScenarioRecord, changed: &BTreeSet<String>) -> Markup {
-    let traces: Vec<&str> =
-        scenario.trials.iter().map(|trial| trial.trace.as_str()).filter(|trace| changed.contains(*trace)).collect();
-    let (named, further) = traces.split_at(traces.len().min(MAX_NAMED));
-    html! {
-        @if !traces.is_empty() {
-            li.inconclusive {
-                p.what {
-                    span class="badge inconclusive" { span aria-hidden="true" { "!" } " changed" } " "
-                    a href={ "#" (scenario_anchor(index)) } { (scenario.title) }
+    fn changed_traces(&self, index: usize, scenario: &ScenarioRecord) -> Markup {
+        let traces = scenario.trials.iter().map(|trial| trial.trace.as_str());
+        let traces: Vec<&str> = traces.filter(|trace| self.changed.contains(*trace)).collect();
+        let (named, further) = traces.split_at(traces.len().min(MAX_NAMED));
+        html! {
+            @if !traces.is_empty() {
+                li.inconclusive {
+                    p.what {
+                        span class="badge inconclusive" { span aria-hidden="true" { "!" } " changed" } " "
+                        a href={ "#" (scenario_anchor(index)) } { (scenario.title) }
+                    }
+                    p.why {
+                        (format::count(traces.len(), "trace")) " " (TRACE_CHANGED)
+                        ": the verdicts are those of the run; the changed traces are not drawn."
+                    }
+                    p.where {
+                        @for (place, trace) in named.iter().enumerate() { @if place > 0 { ", " } (file_link(trace)) }
+                        @if !further.is_empty() { " and " (further.len()) " more" }
+                    }
                 }
+            }
+        }
+    }
+
+    fn item(&self, scenario: &ScenarioRecord, index: usize, data: Option<&TraceData>) -> Markup {
+        let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
+        let unit = format::unit(expectation.metric);
+        let trial = record_queries::trial_to_inspect(scenario, index);
+        // A statistic over trials is not the value of one trial.
+        let decided = trial.filter(|_| expectation.statistic == Statistic::Worst && scenario.trials.len() > 1);
+        let decided = decided.map(|trial| trial.index);
+        let limit = data.and_then(|data| data.limits.iter().find(|limit| limit.name == expectation.name));
+        let worst = limit.and_then(|limit| Some((limit.kind, limit.worst.first()?)));
+        html! {
+            div.missed {
                 p.why {
-                    (format::count(traces.len(), "trace")) " " (TRACE_CHANGED)
-                    ": the verdicts are those of the run; the changed traces are not drawn."
+                    (verdict_badge(expectation.verdict, &format::verdict(expectation))) " "
+                    code { (expectation.name) } " "
+                    @match (format::value(expectation), format::value_or_not_reached(expectation)) {
+                        (Some(value), _) => {
+                            strong { (value) @if !unit.is_empty() { " " (unit) } }
+                            @if let Some(index) = decided { " in trial " (index) }
+                            ", expected "
+                        },
+                        (None, Some(text)) => { strong { (text) } ", expected " },
+                        (None, None) => "expected ",
+                    }
+                    span.number { (format::limit(expectation)) @if !unit.is_empty() { " " (unit) } }
+                    @if let Some(window) = format::in_window(expectation) { ", " (window) }
+                    @if let Some((kind, worst)) = worst { "; " (kind) ": " strong { (worst.text) } }
+                    @if let Some(requirement) = &expectation.requirement { " · " (requirement) }
+                    @if let Some(reason) = format::remaining_reason(expectation) { span.reason { (reason) } }
                 }
+                @if let Some(text) = requirement_text(scenario, expectation) { p.requirement { (text) } }
                 p.where {
-                    @for (place, trace) in named.iter().enumerate() { @if place > 0 { ", " } (file_link(trace)) }
-                    @if !further.is_empty() { " and " (further.len()) " more" }
+                    @if let Some(since) = self.history.not_passed_since(self.record, scenario, index) { span.since { (since) } " " }
+                    @if let Some(trial) = trial {
+                        (file_link(&trial.trace))
+                        @if self.changed.contains(&trial.trace) { ", " (TRACE_CHANGED) }
+                    }
                 }
             }
         }
     }
 }
 
-fn not_passed_card(
-    record: &RunRecord,
-    place: usize,
-    indices: &[usize],
-    data: Option<&TraceData>,
-    plot: Option<&Markup>,
-    history: &RunHistory,
-    changed: &BTreeSet<String>,
-) -> Markup {
-    let Some(scenario) = record.scenarios.get(place) else { return Markup::default() };
-    html! {
-        li class=(scenario.verdict) {
-            p.what {
-                (verdict_badge(scenario.verdict, scenario.verdict.name()))
-                " " a href={ "#" (scenario_anchor(place)) } { (scenario.title) }
-                " " span.file { (scenario.file) }
-            }
-            (symptom_notice(scenario))
-            @for (number, index) in indices.iter().enumerate() {
-                (not_passed_item(record, scenario, *index, data, history, changed))
-                @if let Some(plot) = plot.filter(|_| number == 0) { (plot) }
-            }
-        }
-    }
-}
-
-fn not_passed_item(
-    record: &RunRecord,
-    scenario: &ScenarioRecord,
-    index: usize,
-    data: Option<&TraceData>,
-    history: &RunHistory,
-    changed: &BTreeSet<String>,
-) -> Markup {
-    let Some(expectation) = scenario.expectations.get(index) else { return Markup::default() };
-    let unit = format::unit(expectation.metric);
-    let trial = record_queries::trial_to_inspect(scenario, index);
-    // A statistic over trials is not the value of one trial.
-    let decided = trial.filter(|_| expectation.statistic == Statistic::Worst && scenario.trials.len() > 1);
-    let decided = decided.map(|trial| trial.index);
-    let limit = data.and_then(|data| data.limits.iter().find(|limit| limit.name == expectation.name));
-    let worst = limit.and_then(|limit| Some((limit.kind, limit.worst.first()?)));
-    html! {
-        div.missed {
-            p.why {
-                (verdict_badge(expectation.verdict, &format::verdict(expectation))) " "
-                code { (expectation.name) } " "
-                @match (format::value(expectation), format::value_or_not_reached(expectation)) {
-                    (Some(value), _) => {
-                        strong { (value) @if !unit.is_empty() { " " (unit) } }
-                        @if let Some(index) = decided { " in trial " (index) }
-                        ", expected "
-                    },
-                    (None, Some(text)) => { strong { (text) } ", expected " },
-                    (None, None) => "expected ",
-                }
-                span.number { (format::limit(expectation)) @if !unit.is_empty() { " " (unit) } }
-                @if let Some(window) = format::in_window(expectation) { ", " (window) }
-                @if let Some((kind, worst)) = worst { "; " (kind) ": " strong { (worst.text) } }
-                @if let Some(requirement) = &expectation.requirement { " · " (requirement) }
-                @if let Some(reason) = format::remaining_reason(expectation) { span.reason { (reason) } }
-            }
-            @if let Some(text) = requirement_text(scenario, expectation) { p.requirement { (text) } }
-            p.where {
-                @if let Some(since) = history.not_passed_since(record, scenario, index) { span.since { (since) } " " }
-                @if let Some(trial) = trial {
-                    (file_link(&trial.trace))
-                    @if changed.contains(&trial.trace) { ", " (TRACE_CHANGED) }
-                }
-            }
-        }
-    }
+fn scenario_link(place: usize, scenario: &ScenarioRecord) -> Markup {
+    html! { a href={ "#" (scenario_anchor(place)) } { (scenario.title) } " " span.file { (scenario.file) } }
 }
 
 fn requirement_text<'a>(scenario: &'a ScenarioRecord, expectation: &ExpectationRecord) -> Option<&'a str> {
@@ -267,30 +240,24 @@ fn requirement_text<'a>(scenario: &'a ScenarioRecord, expectation: &ExpectationR
 
 pub(super) fn closest(record: &RunRecord) -> Markup {
     let found = record_queries::smallest_margins(record);
-    let rows = html! {
-        @for (index, scenario, expectation, margin) in found.iter().take(MAX_CLOSEST) {
-            tr {
-                th scope="row" {
-                    a href={ "#" (scenario_anchor(*index)) } { (scenario.title) }
-                    span.file { (scenario.file) }
-                }
-                td data-label="Expectation" { code { (expectation.name) } }
-                td.number data-label="Measured" {
-                    (with_unit(format::value(expectation), format::unit(expectation.metric)))
-                }
-                td.number data-label="Limit" {
-                    (with_unit(Some(format::limit(expectation)), format::unit(expectation.metric)))
-                }
-                td.number data-label="Margin" { (margin_text(*margin)) }
-            }
-        }
-    };
-    let columns = ["Scenario", "Expectation", "#Measured", "#Limit", "#Margin"];
+    let columns = ["Scenario", "Expectation"].map(Column::from).into_iter();
+    let mut table = Table::new(columns.chain(["Measured", "Limit", "Margin"].map(|name| Column::number(name, ""))));
+    table.extend(found.iter().take(MAX_CLOSEST).map(|(index, scenario, expectation, margin)| {
+        let (value, unit) = (format::value(expectation).unwrap_or_default(), format::unit(expectation.metric));
+        let link = Some(format!("#{}", scenario_anchor(*index)));
+        [
+            Cell::from(&*scenario.title).with_link(link).with_notes([scenario.file.clone()]),
+            Cell::code(&*expectation.name),
+            Cell::from(value).with_unit(unit),
+            Cell::from(format::limit(expectation)).with_unit(unit),
+            margin_text(*margin).into(),
+        ]
+    }));
     html! {
         @if !found.is_empty() && record.scenarios.len() > 1 {
             section aria-labelledby="closest" {
                 h2 id="closest" { "Passed with the smallest margin" }
-                (scroll_table("Smallest margins", "contents stacked", &columns, &rows))
+                (table.html_as("Smallest margins", "contents stacked"))
             }
         }
     }
@@ -319,7 +286,7 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
     let links = traceability::requirement_links(record);
     let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();
     let rows = html! {
-        @for links in links.chunk_by(|a, b| a.requirement == b.requirement) { (requirement_row(record, links)) }
+        @for links in links.chunk_by(|a, b| a.requirement == b.requirement) { (requirement_row(links)) }
     };
     let columns = ["Requirement", "Verdict", "#Expectations passed", "Not passed, or else the first"];
     html! {
@@ -336,17 +303,15 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
     }
 }
 
-fn requirement_row(record: &RunRecord, links: &[RequirementLink]) -> Markup {
-    let text = links
-        .iter()
-        .find_map(|link| record.scenarios.get(link.scenario_index)?.requirement_texts.get(&link.requirement));
-    let verdict = Verdict::combine(links.iter().map(|link| link.verdict));
-    let open: Vec<&RequirementLink> = links.iter().filter(|link| link.verdict != Verdict::Pass).collect();
-    let named: Vec<&RequirementLink> = if open.is_empty() { links.iter().take(1).collect() } else { open.clone() };
+fn requirement_row(links: &[RequirementLink<'_>]) -> Markup {
+    let text = links.iter().find_map(|link| link.scenario.requirement_texts.get(link.requirement));
+    let verdict = Verdict::combine(links.iter().map(|link| link.expectation.verdict));
+    let open: Vec<_> = links.iter().filter(|link| link.expectation.verdict != Verdict::Pass).collect();
+    let named: Vec<_> = if open.is_empty() { links.iter().take(1).collect() } else { open.clone() };
     html! {
         tr {
             th scope="row" {
-                (links.first().map_or("", |link| link.requirement.as_str()))
+                (links.first().map_or("", |link| link.requirement))
                 @if let Some(text) = text { span.text { (text) } }
             }
             td data-label="Verdict" { (verdict_badge(verdict, verdict.name())) }
@@ -354,8 +319,8 @@ fn requirement_row(record: &RunRecord, links: &[RequirementLink]) -> Markup {
             td data-label="Expectations" { div {
                 @for link in named.iter().take(MAX_NAMED) {
                     div {
-                        a href={ "#" (scenario_anchor(link.scenario_index)) } { (link.scenario) } ": "
-                        code { (link.expectation) } " " (link.limit)
+                        a href={ "#" (scenario_anchor(link.scenario_index)) } { (link.scenario.file) } ": "
+                        code { (link.expectation.name) } " " (format::limit(link.expectation))
                     }
                 }
                 @if named.len() > MAX_NAMED { "and " (named.len() - MAX_NAMED) " more" }
@@ -387,25 +352,23 @@ pub(super) fn cost_section(record: &RunRecord) -> Markup {
 }
 
 fn earlier_runs_table(trends: &[CostTrend]) -> Markup {
-    let columns =
-        ["Earlier run", "Build", "Law", "#Trials of both", "#Worst then", "#Worst now", "#Mean then", "#Mean now"];
-    let rows = html! { @for trend in trends { @for earlier in &trend.earlier { (cost_row(trend, earlier)) } } };
-    scroll_table("Instructions per control step", "contents", &columns, &rows)
-}
-
-fn cost_row(trend: &CostTrend, earlier: &EarlierCost) -> Markup {
-    html! {
-        tr {
-            th scope="row" { (earlier.run.as_deref().unwrap_or(timing::SHIPPED_IMAGE)) }
-            td { code { (format::short_build_id(&earlier.build)) } }
-            td { (trend.law) }
-            td.number { (earlier.trials) }
-            td.number { (timing::format_instructions(earlier.then.worst)) }
-            td.number { (format_change(earlier.then.worst, earlier.now.worst)) }
-            td.number { (timing::format_instructions(earlier.then.mean)) }
-            td.number { (format_change(earlier.then.mean, earlier.now.mean)) }
-        }
-    }
+    let columns = ["Earlier run", "Build", "Law"].map(Column::from).into_iter();
+    let numbers = ["Trials of both", "Worst then", "Worst now", "Mean then", "Mean now"];
+    let mut table = Table::new(columns.chain(numbers.map(|name| Column::number(name, ""))));
+    let earlier = trends.iter().flat_map(|trend| trend.earlier.iter().map(move |earlier| (trend, earlier)));
+    table.extend(earlier.map(|(trend, EarlierCost { run, build, trials, then, now, .. })| {
+        [
+            Cell::from(run.as_deref().unwrap_or(timing::SHIPPED_IMAGE)),
+            Cell::code(format::short_build_id(build)),
+            Cell::from(&*trend.law),
+            trials.to_string().into(),
+            timing::format_instructions(then.worst).into(),
+            format_change(then.worst, now.worst).into(),
+            timing::format_instructions(then.mean).into(),
+            format_change(then.mean, now.mean).into(),
+        ]
+    }));
+    table.html_as("Instructions per control step", "contents")
 }
 
 fn format_change(then: f64, now: f64) -> String {
@@ -436,16 +399,15 @@ pub(super) fn environment_section(record: &RunRecord) -> Markup {
     let facts = facts.into_iter().chain(not_played);
     let inputs = record.scenarios.iter().flat_map(|scenario| &scenario.inputs);
     let inputs: BTreeSet<(&str, &str)> = inputs.map(|input| (input.file.as_str(), input.sha256.as_str())).collect();
-    let rows = html! {
-        @for (file, sha256) in &inputs { tr { th scope="row" { (file) } td { code { (sha256) } } } }
-    };
+    let mut table = Table::new(["File", "SHA-256"]);
+    table.extend(inputs.iter().map(|(file, sha256)| [Cell::from(*file), Cell::code(*sha256)]));
     html! {
         section aria-labelledby="environment" {
             h2 id="environment" { "Environment" }
             dl { @for (name, value) in facts { div { dt { (name) } dd { (value) } } } }
             @if !inputs.is_empty() {
                 h3 { "Inputs" }
-                (scroll_table("Inputs", "inputs", &["File", "SHA-256"], &rows))
+                (table.html_as("Inputs", "inputs"))
             }
         }
     }
@@ -499,7 +461,8 @@ fn list_entry(index: usize, scenario: &ScenarioRecord, data: Option<&TraceData>)
 }
 
 fn sparkline(data: &TraceData) -> Markup {
-    let line = data.sampled_trials.first().and_then(|trial| trial.peak_lines.get(&Column::Amplitude));
+    let line =
+        data.sampled_trials.first().and_then(|trial| trial.peak_lines.get(&platebench_model::trace::Column::Amplitude));
     let (Some(line), Some(whole)) = (line, data.views.last().map(|view| view.window)) else { return Markup::default() };
     let known = data.grid.t_ms.iter().zip(line).filter_map(|(t_ms, value)| Some((*t_ms, (*value)?)));
     let known: Vec<(f64, f64)> = known.collect();

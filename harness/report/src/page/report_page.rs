@@ -92,13 +92,15 @@ impl<'a> ReportPage<'a> {
         };
         let data: Vec<TraceData> = record.scenarios.iter().map(read).collect();
         let (articles, plots) = self.scenario_articles(&data, resolution);
+        let (history, changed) = (&self.history, &changed);
+        let not_passed = overview::NotPassed { record, data: &data, plots: &plots, history, changed };
         let title = format!("{} · {} {}", record.verdict, record.tool.name, record.started);
         let body = html! {
             @if record.scenarios.len() > 1 { (overview::scenario_list(record, &data)) }
             div.content {
                 div.overview id="overview" {
                     header { (overview::head(record)) }
-                    (overview::not_passed_section(record, &data, &plots, &self.history, &changed))
+                    (not_passed.section())
                     @if let Some(other) = self.other_run() { (comparison_section(record, other)) }
                     (overview::boards_section(record))
                     (overview::closest(record))

@@ -1,12 +1,12 @@
 //! Writes the section of a scenario: expectations, figures, trials.
 
-use super::elements::{MAX_NAMED, scenario_anchor, scroll_table, trace_link, with_unit};
+use super::elements::{MAX_NAMED, link_to, scenario_anchor, scroll_table, trace_link, with_unit};
 use super::figure::{Figure, drawings};
 use super::overview::margin_text;
 use super::script;
 use super::trace_data::TraceData;
 use crate::chart::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, extent, view_box};
-use crate::document::verdict_badge;
+use crate::document::{Cell, Column, NOTHING, Table, verdict_badge};
 use crate::format;
 use crate::record_queries;
 use crate::text::history::TrendPoint;
@@ -219,33 +219,30 @@ fn trials_table(scenario: &ScenarioRecord) -> Markup {
         .map(|index| scenario.metric_key(index))
         .filter(|key| scenario.trials.iter().any(|trial| trial.metrics.get(key).is_some()))
         .collect();
-    let metric_columns: Vec<String> = metrics.iter().map(|metric| format!("#{metric}")).collect();
-    let columns = ["#Trial", "#Seed"].into_iter().chain(metric_columns.iter().map(String::as_str));
-    let columns: Vec<&str> = columns.chain(["Trace", "Remark"]).collect();
+    let columns = ["Trial", "Seed"].into_iter().chain(metrics.iter().map(String::as_str));
+    let columns = columns.map(|name| Column::number(name, ""));
+    let mut table = Table::new(columns.chain(["Trace", "Remark"].map(Column::from)));
     let (count, shown) = (scenario.trials.len(), scenario.trials.len().min(MAX_LISTED_TRIALS));
-    let rows = html! {
-        @for trial in scenario.trials.iter().take(shown) {
-            tr {
-                th.number scope="row" { (trial.index) }
-                td.number { (trial.seed) }
-                @for metric in &metrics {
-                    td.number { (with_unit(trial.metrics.number(metric).map(format::number), "")) }
-                }
-                td.file { (trace_link(trial)) }
-                td {
-                    @if let Some(cause) = trial.cause { strong { (cause) } }
-                    @if let Some(reason) = &trial.reason { " " (reason) }
-                }
-            }
-        }
-    };
+    table.extend(scenario.trials.iter().take(shown).map(|trial| {
+        let values =
+            metrics.iter().map(|metric| trial.metrics.number(metric).map_or(NOTHING.to_owned(), format::number));
+        let trace = if trial.sha256.is_some() {
+            Cell::from(&*trial.trace).with_link(link_to(&trial.trace))
+        } else {
+            Cell::default()
+        };
+        let remark = [trial.cause.map(|cause| cause.to_string()), trial.reason.as_ref().map(ToString::to_string)];
+        let remark = remark.into_iter().flatten().collect::<Vec<_>>().join(": ");
+        let numbers = [trial.index.to_string(), trial.seed.to_string()].into_iter().chain(values).map(Cell::from);
+        numbers.chain([trace, remark.into()]).collect::<Vec<_>>()
+    }));
     html! {
         // The numbers of a single trial are in the table of expectations.
         @if count > 1 || scenario.trials.iter().any(|trial| trial.reason.is_some()) {
             details {
                 summary { (format::count(count, "trial")) " in numbers" }
                 @if shown < count { p { "The first " (shown) " trials; " code { "run.json" } " has all." } }
-                (scroll_table("Trials", "trials", &columns, &rows))
+                (table.html_as("Trials", "trials"))
             }
         }
     }

@@ -7,7 +7,7 @@ use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use platebench_model::record::{
-    Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict,
+    Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict, VerdictCounts,
 };
 use platebench_model::scenario::NotApplicableExpectation;
 use platebench_model::{quoted, quoted_path};
@@ -136,10 +136,7 @@ const MAX_LISTED: usize = 3;
 /// `in_full` lists every scenario that is not applicable and the cost of every law.
 fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     write_not_applicable(text, record, style, in_full);
-    for (name, counts) in [
-        ("scenario", format::VerdictCounts::of_scenarios(record)),
-        ("expectation", format::VerdictCounts::of_expectations(record)),
-    ] {
+    for (name, counts) in [("scenario", record.scenario_counts()), ("expectation", record.expectation_counts())] {
         let _ = writeln!(text, "{}: {counts}", format::count(counts.total(), name));
     }
     if let Some(duration) = record.wall_ms {
@@ -441,7 +438,7 @@ fn result(expectation: &ExpectationRecord) -> String {
 /// Scenarios with a verdict, counted by verdict, of a run that ended early.
 pub fn counts_so_far(record: &RunRecord) -> String {
     let judged = record.scenarios.iter().filter(|scenario| !scenario.expectations.is_empty());
-    let counts: format::VerdictCounts = judged.map(|scenario| scenario.verdict).collect();
+    let counts: VerdictCounts = judged.map(|scenario| scenario.verdict).collect();
     let all = format::count(record.scenarios.len(), "scenario");
     format!("played so far: {} of {all}: {counts}", counts.total())
 }
@@ -544,15 +541,6 @@ impl Progress {
         Self { sink: Sink::Lines(Box::new(out)) }
     }
 
-    /// Sets the length of the bar. The default is the number of trials of the started scenarios.
-    #[must_use]
-    pub fn with_planned_trials(self, trials: u64) -> Self {
-        if let Sink::Bar { bar, .. } = &self.sink {
-            bar.set_length(trials);
-        }
-        self
-    }
-
     /// The bar shows the elapsed time during a step without trials, such as mutation testing.
     #[must_use]
     pub fn with_elapsed_time(self, title: &str) -> Self {
@@ -566,11 +554,15 @@ impl Progress {
 
     pub fn show(&mut self, event: &Event) {
         match (&mut self.sink, event) {
-            (Sink::Bar { bar, running }, Event::ScenarioStarted { file, trials }) => {
+            // Without this event, the length is the number of trials of the started scenarios.
+            (Sink::Bar { bar, .. }, Event::RunStarted { scenarios, .. }) => {
+                bar.set_length(scenarios.iter().map(|planned| u64::from(planned.trials)).sum());
+            }
+            (Sink::Bar { bar, running }, Event::ScenarioStarted { scenario, trials }) => {
                 bar.set_style(bar_style(TRIALS));
                 bar.set_length(bar.length().unwrap_or(0).max(bar.position() + u64::from(*trials)));
                 let mut running = lock(running);
-                running.scenarios.push((file.clone(), Instant::now()));
+                running.scenarios.push((scenario.clone(), Instant::now()));
                 bar.set_message(running.message());
             }
             (Sink::Bar { bar, .. }, Event::TrialFinished { .. }) => {
@@ -578,22 +570,21 @@ impl Progress {
                 bar.set_length(bar.length().unwrap_or(0).max(bar.position() + 1));
                 bar.inc(1);
             }
-            (Sink::Bar { bar, running }, Event::ScenarioFinished(scenario)) => {
+            (Sink::Bar { bar, running }, Event::ScenarioFinished { scenario, verdict, .. }) => {
                 let mut running = lock(running);
-                running.scenarios.retain(|(name, _)| *name != scenario.file);
-                running.not_passed += usize::from(scenario.verdict != Verdict::Pass);
+                running.scenarios.retain(|(name, _)| name != scenario);
+                running.not_passed += usize::from(*verdict != Verdict::Pass);
                 bar.set_message(running.message());
             }
-            (Sink::Lines(out), Event::ScenarioStarted { file, trials }) => {
+            (Sink::Lines(out), Event::ScenarioStarted { scenario, trials }) => {
                 let trials = format::count(usize::try_from(*trials).unwrap_or(usize::MAX), "trial");
-                write_line(out.as_mut(), &format!("… {}: {trials}", printable(file)));
+                write_line(out.as_mut(), &format!("… {}: {trials}", printable(scenario)));
             }
-            (Sink::Lines(out), Event::ScenarioFinished(scenario)) => {
-                let (sign, verdict) = (format::sign(scenario.verdict), scenario.verdict);
-                let trials = format::count(scenario.trial_count, "trial");
-                write_line(out.as_mut(), &format!("{sign} {}: {verdict}, {trials}", printable(&scenario.file)));
+            (Sink::Lines(out), Event::ScenarioFinished { scenario, verdict, trials, .. }) => {
+                let (sign, trials) = (format::sign(*verdict), format::count(*trials, "trial"));
+                write_line(out.as_mut(), &format!("{sign} {}: {verdict}, {trials}", printable(scenario)));
             }
-            (Sink::Lines(_), Event::TrialFinished { .. }) | (Sink::Quiet, _) => {}
+            _ => {}
         }
     }
 
@@ -646,7 +637,7 @@ mod tests {
     #[test]
     fn a_closed_pipe_is_no_error() {
         let mut progress = Progress::to_writer(Closed);
-        progress.show(&Event::ScenarioStarted { file: "a.toml".to_owned(), trials: 3 });
+        progress.show(&Event::ScenarioStarted { scenario: "a.toml".to_owned(), trials: 3 });
         progress.finish();
         super::print("text", &mut Closed).unwrap();
     }

@@ -4,13 +4,12 @@
 //! ten annotations of a kind per step. GitHub rejects a summary above 1 MiB, so a table has at most
 //! `MAX_ROWS` rows.
 
-use crate::document::Table;
+use crate::document::{Block, Document, Table};
 use crate::error::ReportError;
-use crate::escape::{markdown_cell, workflow_message, workflow_property};
+use crate::escape::{workflow_message, workflow_property};
 use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
-use platebench_model::record::{RunRecord, ScenarioRecord, Verdict};
-use platebench_model::scenario::NotApplicableExpectation;
+use platebench_model::record::{RunRecord, ScenarioRecord, Verdict, VerdictCounts};
 use platebench_model::trace::{AtPath, write_named_by_user};
 use std::fmt::Write as _;
 use std::fs;
@@ -78,62 +77,50 @@ pub fn append_markdown(record: &RunRecord, path: &Path) -> Result<(), ReportErro
 }
 
 pub fn render_page(record: &RunRecord) -> String {
-    let mut text = String::new();
-    let counts = format::VerdictCounts::of_expectations(record);
-    let _ = writeln!(text, "## {} platebench: {}\n", format::sign(record.verdict), record.verdict);
-    let _ = writeln!(text, "Tested: {}.\n", markdown_cell(&format::tested(record)));
-    let scenarios = format::count(record.scenarios.len(), "scenario");
     let trials = format::count(record.scenarios.iter().map(|scenario| scenario.trials.len()).sum(), "trial");
-    let started = markdown_cell(&record.started);
-    let _ = writeln!(text, "{scenarios}, {trials}; expectations: {counts}. Started {started}.\n");
-    if let Some(scripts) = record_queries::scripts_not_played(record) {
-        let _ = writeln!(text, "Not played: {}.\n", markdown_cell(&scripts));
-    }
-    if let Some(overrides) = format::overrides(record) {
-        let _ = writeln!(text, "Overridden: {}.\n", markdown_cell(&overrides));
-    }
-    if let Some(OwnVerdict { verdict, reason }) = record_queries::own_verdict_of_run(record) {
-        let _ = writeln!(text, "**{verdict}: {reason}**\n");
-    }
+    let (scenarios, started) = (format::count(record.scenarios.len(), "scenario"), &record.started);
+    let counts = record.expectation_counts();
+    let sentences = [
+        Some(format!("Tested: {}.", format::tested(record))),
+        Some(format!("{scenarios}, {trials}; expectations: {counts}. Started {started}.")),
+        record_queries::scripts_not_played(record).map(|scripts| format!("Not played: {scripts}.")),
+        format::overrides(record).map(|overrides| format!("Overridden: {overrides}.")),
+    ];
+    let mut blocks = vec![Block::heading(format!("{} platebench: {}", format::sign(record.verdict), record.verdict))];
+    blocks.extend(sentences.into_iter().flatten().map(Block::Paragraph));
+    let own = record_queries::own_verdict_of_run(record);
+    blocks.extend(own.map(|OwnVerdict { verdict, reason }| Block::Verdict(verdict, reason)));
     if record.unsafe_end().is_some() && record.may_have_amplifier() {
-        text += "**Check the amplifier before you touch the plate.**\n\n";
+        blocks.push(Block::heading("Check the amplifier before you touch the plate."));
     }
-    let missed = record_queries::required_not_applicable(record).len();
-    let not_passed = record_queries::expectations_not_passed(record).len() + missed;
-    if not_passed > 0 {
-        write_table(&mut text, &not_passed_table(record), not_passed);
+    let tables = [not_passed_table(record), scenarios_table(record), not_applicable_table(record)];
+    for mut table in tables.into_iter().filter(|table| !table.rows.is_empty()) {
+        let further = table.rows.len().saturating_sub(MAX_ROWS);
+        table.rows.truncate(MAX_ROWS);
+        blocks.push(Block::Table(table));
+        blocks.extend((further > 0).then(|| Block::Paragraph(format!("… and {further} more."))));
     }
-    write_table(&mut text, &scenarios_table(record), record.scenarios.len());
-    let rows = not_applicable_rows(record);
-    if !rows.is_empty() {
-        let mut table = Table::new(["Not applicable", "Because"]);
-        table.extend(rows.iter().take(MAX_ROWS).cloned());
-        write_table(&mut text, &table, rows.len());
-    }
-    text
+    Document::new("", blocks).blocks_to_markdown().trim_start().to_owned()
 }
 
 fn not_passed_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["", "Scenario", "Expected", "Measured", "Requirement", "Reason", "Trace"]);
-    for scenario in record_queries::required_not_applicable(record).iter().take(MAX_ROWS) {
+    for scenario in record_queries::required_not_applicable(record) {
         let reason = format!("{}: {}", Verdict::Fail, format::not_applicable(scenario));
-        let row = [format::sign(Verdict::Fail), &scenario.file, "", "", "", &reason, ""];
-        table.push(row.map(str::to_owned).to_vec());
+        table.push([format::sign(Verdict::Fail), &scenario.file, "", "", "", &reason, ""]);
     }
-    let further = MAX_ROWS.saturating_sub(table.rows.len());
-    for (scenario, index) in record_queries::expectations_not_passed(record).into_iter().take(further) {
+    for (scenario, index) in record_queries::expectations_not_passed(record) {
         let Some(expectation) = scenario.expectations.get(index) else { continue };
         let verdict = format::verdict(expectation);
         let reason = expectation.reason.as_ref().map(|reason| format!("{verdict}: {reason}"));
-        let trace = record_queries::trial_to_inspect(scenario, index).map(|trial| trial.trace.clone());
-        table.push(vec![
-            format::sign(expectation.verdict).to_owned(),
-            scenario.file.clone(),
-            format!("{} {}", expectation.name, format::limit(expectation)),
-            format::value_or_not_reached(expectation).unwrap_or_else(|| "none".to_owned()),
-            expectation.requirement.clone().unwrap_or_default(),
-            reason.unwrap_or(verdict),
-            trace.unwrap_or_default(),
+        table.push([
+            format::sign(expectation.verdict),
+            &scenario.file,
+            &format!("{} {}", expectation.name, format::limit(expectation)),
+            format::value_or_not_reached(expectation).as_deref().unwrap_or("none"),
+            expectation.requirement.as_deref().unwrap_or_default(),
+            &reason.unwrap_or(verdict),
+            record_queries::trial_to_inspect(scenario, index).map_or("", |trial| &*trial.trace),
         ]);
     }
     table
@@ -141,40 +128,28 @@ fn not_passed_table(record: &RunRecord) -> Table {
 
 fn scenarios_table(record: &RunRecord) -> Table {
     let mut table = Table::new(["", "Scenario", "Verdict", "Law", "Trials", "Expectations"]);
-    for scenario in record.scenarios.iter().take(MAX_ROWS) {
-        let counts: format::VerdictCounts = scenario.expectations.iter().map(|found| found.verdict).collect();
+    table.extend(record.scenarios.iter().map(|scenario| {
+        let counts: VerdictCounts = scenario.expectations.iter().map(|found| found.verdict).collect();
         let reason = record_queries::own_verdict_of_scenario(scenario).map(|own| own.reason);
-        table.push(vec![
+        [
             format::sign(scenario.verdict).to_owned(),
             scenario.file.clone(),
             scenario.verdict.to_string(),
             scenario.law.clone(),
             scenario.trials.len().to_string(),
             reason.unwrap_or_else(|| counts.to_string()),
-        ]);
-    }
+        ]
+    }));
     table
 }
 
-fn not_applicable_rows(record: &RunRecord) -> Vec<Vec<String>> {
-    let unplayed = record_queries::skipped_scenarios(record).iter();
-    let unplayed = unplayed.map(|scenario| vec![scenario.file.clone(), scenario.reason.clone()]);
-    let played = record.scenarios.iter().flat_map(|scenario| {
-        let row = |skipped: &NotApplicableExpectation| {
-            vec![format!("{}: {}", scenario.file, skipped.name), skipped.reason.clone()]
-        };
-        scenario.not_applicable.iter().map(row)
-    });
-    unplayed.chain(played).collect()
-}
-
-/// Adds how many of `all` rows the table does not contain.
-fn write_table(text: &mut String, table: &Table, all: usize) {
-    *text += &table.markdown();
-    if all > table.rows.len() {
-        let _ = writeln!(text, "\n… and {} more.", all - table.rows.len());
+fn not_applicable_table(record: &RunRecord) -> Table {
+    let mut table = Table::new(["Not applicable", "Because"]);
+    table.extend(record_queries::skipped_scenarios(record).iter().map(|scenario| [&*scenario.file, &scenario.reason]));
+    for (scenario, skipped) in record_queries::skipped_expectations(record) {
+        table.push([&*format!("{}: {}", scenario.file, skipped.name), &skipped.reason]);
     }
-    text.push('\n');
+    table
 }
 
 #[cfg(test)]

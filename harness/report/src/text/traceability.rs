@@ -4,48 +4,33 @@
 use crate::document::{Block, Cell, Column, Document, Table};
 use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
-use platebench_model::record::{MergeRecord, RunRecord, Verdict};
+use platebench_model::record::{ExpectationRecord, MergeRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 pub const FILE: &str = "traceability.csv";
 
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct RequirementLink {
-    pub(crate) requirement: String,
-    pub(crate) expectation: String,
-    pub(crate) limit: String,
-    pub(crate) scenario: String,
+/// An expectation that belongs to a requirement.
+#[derive(Debug, Clone)]
+pub(crate) struct RequirementLink<'a> {
+    pub(crate) requirement: &'a str,
     pub(crate) scenario_index: usize,
-    pub(crate) verdict: Verdict,
-    pub(crate) value: Option<f64>,
-    pub(crate) unit: &'static str,
-    pub(crate) interval: Option<[f64; 2]>,
-    /// Trace of the trial that decided, or else of the first trial.
-    pub(crate) trace: String,
+    pub(crate) scenario: &'a ScenarioRecord,
+    pub(crate) expectation: &'a ExpectationRecord,
+    /// Trial that decided, or else the first one.
+    trial: Option<&'a TrialRecord>,
 }
 
-pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink> {
-    let mut links = Vec::new();
-    for (scenario_index, scenario) in record.scenarios.iter().enumerate() {
-        for (index, expectation) in scenario.expectations.iter().enumerate() {
-            let Some(requirement) = &expectation.requirement else { continue };
+pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink<'_>> {
+    let links = record.scenarios.iter().enumerate().flat_map(|(scenario_index, scenario)| {
+        scenario.expectations.iter().enumerate().filter_map(move |(index, expectation)| {
+            let requirement = expectation.requirement.as_deref()?;
             let trial = record_queries::trial_to_inspect(scenario, index).or_else(|| scenario.trials.first());
-            links.push(RequirementLink {
-                requirement: requirement.clone(),
-                expectation: expectation.name.clone(),
-                limit: format::limit(expectation),
-                scenario: scenario.file.clone(),
-                scenario_index,
-                verdict: expectation.verdict,
-                value: expectation.value,
-                unit: format::unit(expectation.metric),
-                interval: expectation.interval,
-                trace: trial.map(|trial| trial.trace.clone()).unwrap_or_default(),
-            });
-        }
-    }
-    links.sort_by(|a, b| a.requirement.cmp(&b.requirement));
+            Some(RequirementLink { requirement, scenario_index, scenario, expectation, trial })
+        })
+    });
+    let mut links: Vec<_> = links.collect();
+    links.sort_by_key(|link| link.requirement);
     links
 }
 
@@ -67,11 +52,15 @@ pub fn requirement_document(record: &RunRecord) -> Document {
         "trace",
     ]);
     table.extend(requirement_links(record).into_iter().map(|link| {
-        let verdict = link.verdict.to_string();
-        let numbers = [link.value, link.interval.map(|[low, _]| low), link.interval.map(|[_, high]| high)];
-        let [value, low, high] = numbers.map(|number| number.map(|number| number.to_string()).unwrap_or_default());
-        let unit = link.unit.to_owned();
-        vec![link.requirement, link.expectation, link.limit, link.scenario, verdict, value, unit, low, high, link.trace]
+        let RequirementLink { requirement, scenario, expectation, trial, .. } = link;
+        let [low, high] = expectation.interval.map_or([None; 2], |interval| interval.map(Some));
+        let [value, low, high] =
+            [expectation.value, low, high].map(|number| number.map_or_else(String::new, |number| number.to_string()));
+        let limit = format::limit(expectation);
+        let unit = format::unit(expectation.metric);
+        let texts = [requirement, &expectation.name, &limit, &scenario.file, expectation.verdict.name()];
+        let trace = trial.map_or("", |trial| &*trial.trace);
+        texts.into_iter().chain([&*value, unit, &low, &high, trace]).map(Cell::from).collect::<Vec<_>>()
     }));
     Document::new("Requirements", vec![Block::Table(table)])
 }

@@ -257,9 +257,9 @@ fn progress_has_a_line_at_start_and_end() {
         let mut progress = Progress::to_writer(out);
         let scenario = &record.scenarios[1];
         let (file, trial) = (scenario.file.clone(), Box::new(scenario.trials[0].clone()));
-        progress.show(&Event::ScenarioStarted { file: file.clone(), trials: 3 });
-        progress.show(&Event::TrialFinished { file, trial, rows: Vec::new() });
-        progress.show(&Event::ScenarioFinished(Box::new(scenario.into())));
+        progress.show(&Event::ScenarioStarted { scenario: file.clone(), trials: 3 });
+        progress.show(&Event::TrialFinished { scenario: file, trial, rows: Vec::new() });
+        progress.show(&Event::scenario_finished(scenario));
         progress.finish();
     });
     assert_eq!(text, "… paper/fig13-open-loop.toml: 3 trials\n✗ paper/fig13-open-loop.toml: fail, 3 trials\n");

@@ -2,9 +2,10 @@
 
 use crate::fixtures;
 use platebench_model::record::{
-    Event, MergeRecord, MissingShard, MissingValue, Reason, RunRecord, ScenarioRecord, TrialFinding, Verdict,
+    Event, MergeRecord, MissingShard, MissingValue, PlannedScenario, Reason, RunRecord, ScenarioRecord, TrialFinding,
+    Verdict,
 };
-use platebench_report::events::EventWriter;
+use platebench_report::events::{EventWriter, run_finished};
 use platebench_report::github::{self, SourceLocation};
 use platebench_report::{Detail, Style, console, junit, page};
 use rstest::rstest;
@@ -30,7 +31,7 @@ fn every_format(record: &RunRecord) -> [String; 6] {
     page::write(record, folder.path()).unwrap();
     let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
     let log = FlushLog::default();
-    EventWriter::new(log.clone()).run_finished(Some(record), None, 1);
+    EventWriter::new(log.clone()).write(&run_finished(Some(record), None, 1));
     let events = String::from_utf8(log.0.lock().unwrap().0.clone()).unwrap();
     [
         read(junit::FILE),
@@ -219,13 +220,15 @@ fn every_event_is_one_flushed_line() {
     let log = FlushLog::default();
     let mut events = EventWriter::new(log.clone());
     let scenario = &record.scenarios[0];
-    events.run_started("runs/x", "hosted", "lockstep", &[(scenario.file.clone(), 1)]);
     let (file, trial) = (scenario.file.clone(), Box::new(scenario.trials[0].clone()));
-    events.event(&Event::ScenarioStarted { file: file.clone(), trials: 1 });
-    events.event(&Event::TrialFinished { file, trial, rows: Vec::new() });
-    events.event(&Event::ScenarioFinished(Box::new(scenario.into())));
-    events.run_finished(Some(&record), None, 1);
-    events.run_finished(None, Some("nothing to run"), 4);
+    let [folder, rig, clock] = ["runs/x", "hosted", "lockstep"].map(str::to_owned);
+    let scenarios = vec![PlannedScenario { scenario: file.clone(), trials: 1 }];
+    events.write(&Event::RunStarted { format: Event::FORMAT, folder, rig, clock, scenarios });
+    events.write(&Event::ScenarioStarted { scenario: file.clone(), trials: 1 });
+    events.write(&Event::TrialFinished { scenario: file, trial, rows: Vec::new() });
+    events.write(&Event::scenario_finished(scenario));
+    events.write(&run_finished(Some(&record), None, 1));
+    events.write(&run_finished(None, Some("nothing to run"), 4));
     let (bytes, flushes) = log.0.lock().unwrap().clone();
     let text = String::from_utf8(bytes).unwrap();
     let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at + 1).collect();

@@ -2,7 +2,7 @@
 
 use crate::fixtures;
 use platebench_model::record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
-use platebench_report::events::EventWriter;
+use platebench_report::events::{EventWriter, run_finished};
 use platebench_report::{Progress, Style, console, github, junit, page, traceability};
 use rstest::rstest;
 use std::fs;
@@ -70,13 +70,13 @@ fn file(write: impl FnOnce(&std::path::Path)) -> String {
 }))]
 #[case::events(|record: &RunRecord| written(|out| {
     let mut events = EventWriter::new(out);
-    events.event(&Event::ScenarioFinished(Box::new((&record.scenarios[1]).into())));
-    events.run_finished(None, Some(HOSTILE), 2);
+    events.write(&Event::scenario_finished(&record.scenarios[1]));
+    events.write(&run_finished(None, Some(HOSTILE), 2));
 }))]
 #[case::progress(|record: &RunRecord| written(|out| {
     let mut progress = Progress::to_writer(out);
-    progress.show(&Event::ScenarioStarted { file: HOSTILE.to_owned(), trials: 1 });
-    progress.show(&Event::ScenarioFinished(Box::new((&record.scenarios[1]).into())));
+    progress.show(&Event::ScenarioStarted { scenario: HOSTILE.to_owned(), trials: 1 });
+    progress.show(&Event::scenario_finished(&record.scenarios[1]));
 }))]
 fn no_text_acts_on_a_terminal_a_ci_system_or_a_spreadsheet(#[case] render: fn(&RunRecord) -> String) {
     let text = render(&hostile_run());

@@ -1,6 +1,6 @@
 //! Draws signals over time.
 
-use crate::live::view_state::ViewState;
+use crate::live::view_state::{ViewState, band, band_percent};
 use platebench_model::trace::Column;
 use ratatui::Frame;
 use ratatui::layout::Rect;
@@ -43,7 +43,7 @@ pub(super) fn draw_amplitude(frame: &mut Frame<'_>, area: Rect, state: &ViewStat
     let Some((scenario, _)) = state.current_trial() else { return draw_empty(frame, area, " |W| ") };
     let history = &state.history;
     let edge = |number: usize| {
-        history.lines(Column::Setpoint, |setpoint| scenario.band(setpoint).map_or(f64::NAN, |band| band[number]))
+        history.lines(Column::Setpoint, |setpoint| band(scenario, setpoint).map_or(f64::NAN, |band| band[number]))
     };
     let [_, highest] = history.range(&[Column::Setpoint, Column::Amplitude]).unwrap_or_default();
     let curves = [
@@ -51,11 +51,11 @@ pub(super) fn draw_amplitude(frame: &mut Frame<'_>, area: Rect, state: &ViewStat
         ChartCurve::new(edge(0), REFERENCE_MARKER, Color::Green),
         ChartCurve::new(edge(1), REFERENCE_MARKER, Color::Green),
     ];
-    let title = match scenario.band(state.newest_row.map_or(0.0, |row| row.setpoint_um)) {
-        Some([low, high]) => format!(" |W| in µm, dots; {} % band {low:.2} to {high:.2}, --- ", scenario.band_percent),
+    let title = match band(scenario, state.newest_row.map_or(0.0, |row| row.setpoint_um)) {
+        Some([low, high]) => format!(" |W| in µm, dots; {} % band {low:.2} to {high:.2}, --- ", band_percent(scenario)),
         None => " |W| in µm, dots ".to_owned(),
     };
-    let top = round_up(highest * (1.0 + scenario.band_percent / 100.0));
+    let top = round_up(highest * (1.0 + band_percent(scenario) / 100.0));
     draw_chart(frame, area, state, &title, &curves, [0.0, top], 2);
 }
 
@@ -73,13 +73,14 @@ pub(super) fn draw_drive(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let Some((scenario, _)) = state.current_trial() else { return draw_empty(frame, area, " drive ") };
     let history = &state.history;
     let [_, highest] = history.range(&[Column::Drive]).unwrap_or_default();
-    let limit = history.lines(Column::Drive, |_| scenario.limit_vpp);
-    let top = round_up(highest).min(scenario.limit_vpp * 1.05);
+    let limit_vpp = scenario.plate.drive_limit_vpp;
+    let limit = history.lines(Column::Drive, |_| limit_vpp);
+    let top = round_up(highest).min(limit_vpp * 1.05);
     let curves = [
         ChartCurve::of(state, Column::Drive, Marker::Braille, Color::Yellow),
         ChartCurve::new(limit, REFERENCE_MARKER, Color::Red),
     ];
-    let title = format!(" drive in Vpp, dots; limit of {:.0} Vpp, --- ", scenario.limit_vpp);
+    let title = format!(" drive in Vpp, dots; limit of {limit_vpp:.0} Vpp, --- ");
     draw_chart(frame, area, state, &title, &curves, [0.0, top], 0);
 }
 

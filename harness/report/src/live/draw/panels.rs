@@ -1,6 +1,6 @@
 //! Draws the text panels.
 
-use crate::live::view_state::ViewState;
+use crate::live::view_state::{ViewState, band};
 use platebench_engine::live_tap::LATENESS_CLASSES;
 use platebench_model::trace::{Flags, Row};
 use ratatui::Frame;
@@ -18,13 +18,13 @@ pub(super) fn draw_head(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
         return;
     };
     let t_s = state.newest_row.map_or(0.0, |row| row.t_s);
-    let (which, when) = match scenario.duration_s {
+    let (which, when) = match state.duration_s(scenario) {
         // Interim looks may add trials to the planned number, so no total is shown.
-        Some(duration_s) if trial > u64::from(scenario.trials) => {
+        Some(duration_s) if trial > u64::from(scenario.trials.count) => {
             (format!("trial {trial}   "), format!("{t_s:.4} of {duration_s} s "))
         }
         Some(duration_s) => {
-            (format!("trial {trial} of {}   ", scenario.trials), format!("{t_s:.4} of {duration_s} s "))
+            (format!("trial {trial} of {}   ", scenario.trials.count), format!("{t_s:.4} of {duration_s} s "))
         }
         None => (String::new(), format!("{t_s:.3} s ")),
     };
@@ -36,9 +36,9 @@ pub(super) fn draw_head(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
 }
 
 pub(super) fn draw_title(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let place = &state.run.rig;
+    let place = &state.rig;
     let text = match state.current_trial() {
-        Some((scenario, _)) => format!(" {}   law {}   {place}", scenario.title, scenario.law),
+        Some((scenario, _)) => format!(" {}   law {}   {place}", scenario.title, scenario.controller.law),
         None => format!(" waiting for the first sample   {place}"),
     };
     frame.render_widget(Line::raw(text), area);
@@ -47,12 +47,13 @@ pub(super) fn draw_title(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
 pub(super) fn draw_newest_row(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let inner = draw_border(frame, area, " now ");
     let (Some((scenario, _)), Some(row)) = (state.current_trial(), state.newest_row) else { return };
-    let (place, colour) = match scenario.band(row.setpoint_um) {
+    let (place, colour) = match band(scenario, row.setpoint_um) {
         None => ("no band", Color::Reset),
         Some([low, high]) if (low..=high).contains(&row.amplitude_um) => ("in band", Color::Green),
         Some(_) => ("OUTSIDE", Color::Red),
     };
-    let share = if scenario.limit_vpp > 0.0 { row.drive_vpp / scenario.limit_vpp } else { 0.0 };
+    let limit_vpp = scenario.plate.drive_limit_vpp;
+    let share = if limit_vpp > 0.0 { row.drive_vpp / limit_vpp } else { 0.0 };
     let detuning = row.frequency_hz - row.resonance_hz;
     let value = |name: &str, value: String, unit: &str| Line::raw(format!("{name:<9} {value:>8} {unit}"));
     let mut amplitude = value("|W|", format!("{:.3}", row.amplitude_um), "µm ");
@@ -97,7 +98,7 @@ fn progress_bar(share: f64, width: usize) -> String {
 
 pub(super) fn draw_lateness(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
     let inner = draw_border(frame, area, " lateness of control instants ");
-    if state.run.lockstep {
+    if state.is_lockstep() {
         let text = "in lockstep the plate waits: there is no lateness";
         frame.render_widget(Paragraph::new(text).wrap(Wrap { trim: true }), inner);
         return;
@@ -153,19 +154,18 @@ pub(super) fn draw_counts(frame: &mut Frame<'_>, area: Rect, state: &ViewState) 
 }
 
 pub(super) fn draw_finished(frame: &mut Frame<'_>, area: Rect, state: &ViewState) {
-    let (ended, run) = (&state.finished, &state.run);
-    if state.current_trial().is_some_and(|(scenario, _)| scenario.duration_s.is_none()) {
+    let (ended, run) = (&state.finished.scenarios, &state.run.plan);
+    if state.current_trial().is_some_and(|(scenario, _)| state.duration_s(scenario).is_none()) {
         return;
     }
-    let judged = ended.passed + ended.failed + ended.inconclusive;
     let mut spans = vec![
-        Span::raw(format!(" {judged} of {} scenarios judged: ", run.scenarios.len())),
+        Span::raw(format!(" {} of {} scenarios judged: ", ended.total(), run.scenarios.len())),
         Span::styled(format!("{} pass", ended.passed), Style::new().fg(Color::Green)),
         Span::raw(", "),
         Span::styled(format!("{} fail", ended.failed), Style::new().fg(Color::Red)),
         Span::raw(", "),
         Span::styled(format!("{} inconclusive", ended.inconclusive), Style::new().fg(Color::Yellow)),
-        Span::raw(format!("   trials {}", ended.trials)),
+        Span::raw(format!("   trials {}", state.finished.trials)),
     ];
     if run.jobs > 1 {
         spans.push(Span::raw(format!("   shows 1 of {} parallel trials", run.jobs)));

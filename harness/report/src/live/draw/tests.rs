@@ -1,35 +1,34 @@
 use super::*;
-use crate::live::events::ViewEvent;
-use crate::live::events::{RunDescription, ScenarioDescription};
+use crate::live::events::RunDescription;
+use crate::live::view_state::FinishedCounts;
 use insta::assert_snapshot;
 use platebench_engine::live_tap::{TapCounts, TapRow};
-use platebench_model::record::Verdict;
+use platebench_engine::{Clock, Pacing, RunPlan, TimeBase};
+use platebench_model::record::{Overrides, VerdictCounts};
+use platebench_model::scenario::load;
 use platebench_model::trace::{Flags, Row};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
+use std::path::Path;
+use std::sync::Arc;
 
 fn run_description() -> RunDescription {
-    let scenario = ScenarioDescription {
-        file: "paper/fig13-closed-loop.toml".to_owned(),
-        title: "Step to 2 µm with both loops closed".to_owned(),
-        law: "dq-pi".to_owned(),
-        duration_s: Some(0.06),
-        trials: 30,
-        spacing_s: 5e-5,
-        band_percent: 5.0,
-        limit_vpp: 900.0,
-    };
-    let other = ScenarioDescription { file: "paper/force-ramp.toml".to_owned(), duration_s: None, ..scenario.clone() };
-    RunDescription {
-        command: "run",
-        rig: "exec:controller {port}".to_owned(),
-        lockstep: false,
-        jobs: 1,
-        key_help: "q or Ctrl-C ends the run, with the plate at 0 V",
-        scenarios: vec![scenario, other],
-    }
+    let name = "paper/fig13-closed-loop.toml";
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
+    let mut scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
+    scenario.title = "Step to 2 µm with both loops closed".to_owned();
+    scenario.trials.count = 30;
+    let clock = Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench });
+    let (rig, scenarios) = ("exec:controller {port}".parse().unwrap(), vec![scenario.clone(), scenario]);
+    let plan = RunPlan::new(&rig, clock, 1, scenarios, Overrides::default());
+    let key_help = "q or Ctrl-C ends the run, with the plate at 0 V";
+    RunDescription { command: "run", key_help, plan: Arc::new(plan), has_end: true }
+}
+
+fn change_plan(state: &mut ViewState, change: impl FnOnce(&mut RunPlan)) {
+    change(Arc::make_mut(&mut state.run.plan));
 }
 
 /// First-order step: the amplitude has a time constant of 0.65 ms, the frequency one of 4 ms.
@@ -62,8 +61,7 @@ fn view_state() -> ViewState {
         rejected_frames: 0,
         lateness: [9_000, 2_500, 700, 120, 40, 9, 0, 0, 3, 0, 0, 1, 0, 0, 0, 0],
     };
-    state.apply_event(ViewEvent::TrialFinished);
-    state.apply_event(ViewEvent::ScenarioFinished(Verdict::Pass));
+    state.finished = FinishedCounts { trials: 1, scenarios: VerdictCounts { passed: 1, ..VerdictCounts::default() } };
     state.messages = (1..=4).map(|number| format!("note {number}")).collect();
     state
 }
@@ -97,8 +95,7 @@ fn reports_a_screen_that_is_too_small() {
 #[test]
 fn lockstep_with_parallel_trials() {
     let mut state = view_state();
-    state.run.lockstep = true;
-    state.run.jobs = 2;
+    change_plan(&mut state, |plan| (plan.clock, plan.jobs) = (Clock::Lockstep { wire_time: false }, 2));
     assert_snapshot!(draw_on(&state, 80, 24).backend());
 }
 
@@ -201,9 +198,10 @@ fn another_trial_or_restarted_time_clears_the_history() {
 #[test]
 fn a_trial_without_end_shows_its_last_seconds() {
     let mut state = view_state();
+    state.run.has_end = false;
     (0..40_000).for_each(|ms| {
         let at = f64::from(ms) / 1e3;
-        state.add_row(&TapRow { scenario: 1, trial: 0, row: Row { t_s: at, ..row(1.0) } });
+        state.add_row(&TapRow { scenario: 0, trial: 0, row: Row { t_s: at, ..row(1.0) } });
     });
     let [from, to] = state.history.span_s();
     assert!((to - from - 10.0).abs() < 1e-9 && (to - 40.0).abs() < 0.05, "{from} {to}");
@@ -252,7 +250,7 @@ fn trials_beyond_the_plan_have_no_total() {
 #[test]
 fn a_long_name_is_cut_before_the_time() {
     let mut state = view_state();
-    state.run.scenarios[0].file = "long/".repeat(40);
+    change_plan(&mut state, |plan| plan.scenarios[0].file = "long/".repeat(40));
     let lines = screen_lines(draw_on(&state, 80, 24).backend().buffer());
     assert!(lines[0].contains("trial 4 of 30   long/") && lines[0].ends_with("long 0.0450 of 0.06 s "), "{}", lines[0]);
 }

@@ -1,5 +1,5 @@
 use super::*;
-use platebench_model::record::EvidenceMethod;
+use platebench_model::record::{Evidence, EvidenceMethod};
 use std::iter;
 
 #[test]
@@ -21,7 +21,7 @@ fn trials_without_a_failure_bound_the_failure_rate() {
     assert!(low == 0.0 && (high - 0.148_6).abs() < 1e-3, "{low} {high}");
     let certain =
         ScenarioBuilder { expect: &["metric = \"settling_time_ms\", at_most = 2.0"], trials: 2, ..BASE }.scenario();
-    assert!(judge_values(&certain, &[1.9, 1.9]).evidence.is_empty());
+    assert!(judge_values(&certain, &[1.9, 1.9]).evidence == Evidence::default());
     assert_eq!(judge_values(&certain, &[1.9, 1.9]).confidence, None);
     assert!(judge_values(&certain, &[1.9, 1.8]).evidence.failure_rate.is_some());
 }
