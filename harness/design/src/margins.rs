@@ -118,7 +118,7 @@ pub fn measure_margins(
     if config.cancel.is_cancelled() || results.len() < tasks.len() {
         return Err(MarginError::Cancelled);
     }
-    let parts = results.chunks(tasks.len() / cases.len().max(1));
+    let parts = results.chunks((tasks.len() / cases.len().max(1)).max(1));
     let measured = cases.iter().zip(parts).map(|(case, parts)| case_margins(config, case, parts));
     Ok((measured.collect::<Result<_, _>>()?, skipped))
 }

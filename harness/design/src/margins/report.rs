@@ -28,7 +28,7 @@ pub fn build_section(report: &MarginReport) -> ChartSection {
         blocks.push(Block::Table(margin_table(case)));
         let state = match &case.failing {
             Some(failing) => format!("at the operating point {failing} fails"),
-            None => format!("at the operating point {} expectations hold", case.expectations.len()),
+            None => format!("at the operating point these hold: {}", case.expectations.join(", ")),
         };
         blocks.push(Block::Paragraph(format!("{state}; {} trials", case.trials)));
     }
@@ -85,7 +85,7 @@ fn margin_table(case: &CaseMargins) -> Table {
 fn edge_text(quantity: Quantity, edge: &Edge) -> String {
     let number = |value: f64| match quantity {
         Quantity::DetuningUp | Quantity::DetuningDown => format!("{value:.1}"),
-        Quantity::DriveGain | Quantity::FrequencyGain | Quantity::Delay | Quantity::Force => format!("{value:.3}"),
+        Quantity::DriveGain | Quantity::FrequencyGain | Quantity::Delay | Quantity::Force => format!("{value:.4}"),
     };
     let beyond = if quantity == Quantity::DetuningDown { '<' } else { '>' };
     match (edge.holds_to, edge.fails_from) {
