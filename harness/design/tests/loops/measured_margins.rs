@@ -47,6 +47,7 @@ fn edge(case: &CaseMargins, quantity: Quantity) -> &Edge {
 const UNTOUCHED: PointChoice =
     PointChoice { period_ms: None, setpoint_um: None, detuning_hz: None, force_n: Some(0.0) };
 const FINGER: PointChoice = PointChoice { force_n: Some(2.0), ..UNTOUCHED };
+const LOW: PointChoice = PointChoice { setpoint_um: Some(1.0), ..UNTOUCHED };
 const DETUNED: PointChoice = PointChoice { detuning_hz: Some(86.74), ..UNTOUCHED };
 
 #[rstest]
@@ -58,6 +59,7 @@ const DETUNED: PointChoice = PointChoice { detuning_hz: Some(86.74), ..UNTOUCHED
 #[case::voltage_only("voltage-only", UNTOUCHED, 2)]
 #[case::voltage_only_detuned("voltage-only", DETUNED, 2)]
 #[case::pll("pll", UNTOUCHED, 2)]
+#[case::frequency_only("frequency-only", LOW, 2)]
 #[case::deadbeat("deadbeat", UNTOUCHED, 3)]
 fn measured_and_predicted_limits_agree(#[case] law: &str, #[case] point: PointChoice, #[case] predicted: usize) {
     let found = measured(&case(law, point));
