@@ -74,7 +74,7 @@ fn measured_and_predicted_limits_agree(#[case] law: &str, #[case] point: PointCh
 /// With a period of many time constants, the plate's answer to a drive is complete after a period.
 /// The open loop is then 1.9/(z − 1), whose phase reaches −180° only at half the sampling rate.
 #[test]
-fn a_digital_integrator_has_its_margin_at_half_the_sampling_rate() {
+fn finds_a_margin_at_half_the_sampling_rate() {
     let mut case = case("voltage-only", PointChoice { period_ms: Some(20.0), ..UNTOUCHED });
     let gain = 1.9 / case.plate.gain;
     let rate = gain / case.controller.period.seconds();
