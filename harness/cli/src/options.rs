@@ -98,6 +98,18 @@ pub(crate) fn parse_number(text: &str, is_valid: impl Fn(f64) -> bool, expected:
     number.ok_or_else(|| format!("expected {expected}"))
 }
 
+pub(crate) fn parse_positive_ms(text: &str) -> Result<f64, String> {
+    parse_number(text, |ms| ms > 0.0 && ms <= 1e3, "a time in ms above 0, at most 1000")
+}
+
+pub(crate) fn parse_setpoint_um(text: &str) -> Result<f64, String> {
+    parse_number(text, |um| um > 0.0 && um <= 1e3, "an amplitude in µm above 0, at most 1000")
+}
+
+pub(crate) fn parse_force_n(text: &str) -> Result<f64, String> {
+    parse_number(text, |newton| (0.0..=100.0).contains(&newton), "a force in N from 0 to 100")
+}
+
 pub(crate) fn parse_time_scale(text: &str) -> Result<f64, String> {
     parse_number(text, |scale| (0.001..=10.0).contains(&scale), "a number from 0.001 to 10")
 }

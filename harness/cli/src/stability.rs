@@ -3,7 +3,9 @@
 mod measured;
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{OutputFormat, job_count, law_names, parse_number, rig_help};
+use crate::options::{
+    OutputFormat, job_count, law_names, parse_force_n, parse_number, parse_positive_ms, parse_setpoint_um, rig_help,
+};
 use crate::selection::warn_of_plate;
 use crate::stdio;
 use clap::Args;
@@ -66,7 +68,7 @@ pub(crate) struct StabilityArgs {
         value_parser = PossibleValuesParser::new(Quantity::ALL.map(Quantity::key)))]
     margins: Vec<String>,
     /// Control period, ms; with each of the next options, every combination is an operating point
-    #[arg(long, alias = "period", value_name = "X", requires = "rig", value_parser = parse_period_ms)]
+    #[arg(long, alias = "period", value_name = "X", requires = "rig", value_parser = parse_positive_ms)]
     period_ms: Vec<f64>,
     /// Setpoint, µm
     #[arg(long, value_name = "X", requires = "rig", value_parser = parse_setpoint_um)]
@@ -91,20 +93,8 @@ pub(crate) struct StabilityArgs {
     format: OutputFormat,
 }
 
-fn parse_period_ms(text: &str) -> Result<f64, String> {
-    parse_number(text, |ms| ms > 0.0 && ms <= 1_000.0, "a time in ms above 0, at most 1000")
-}
-
-fn parse_setpoint_um(text: &str) -> Result<f64, String> {
-    parse_number(text, |um| um > 0.0 && um <= 1e3, "an amplitude in µm above 0, at most 1000")
-}
-
 fn parse_detuning_hz(text: &str) -> Result<f64, String> {
     parse_number(text, |hz| (-5e3..=5e3).contains(&hz), "a frequency in Hz from -5000 to 5000")
-}
-
-fn parse_force_n(text: &str) -> Result<f64, String> {
-    parse_number(text, |newton| (0.0..=100.0).contains(&newton), "a force in N from 0 to 100")
 }
 
 fn parse_delay_us(text: &str) -> Result<f64, String> {

@@ -4,7 +4,7 @@ mod verify;
 
 use crate::board::BoardArgs;
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
-use crate::options::{OutputFormat, parse_number};
+use crate::options::{OutputFormat, parse_force_n, parse_number, parse_positive_ms, parse_setpoint_um};
 use crate::stdio;
 use clap::builder::PossibleValuesParser;
 use clap::{ArgGroup, Args};
@@ -113,20 +113,8 @@ pub(crate) struct TuneArgs {
     format: OutputFormat,
 }
 
-fn parse_positive_ms(text: &str) -> Result<f64, String> {
-    parse_number(text, |ms| ms > 0.0 && ms <= MAX_TIME_MS, "a time in ms above 0, at most 1000")
-}
-
 fn parse_delay_ms(text: &str) -> Result<f64, String> {
     parse_number(text, |ms| (0.0..=MAX_TIME_MS).contains(&ms), "a time in ms from 0 to 1000")
-}
-
-fn parse_setpoint_um(text: &str) -> Result<f64, String> {
-    parse_number(text, |um| um > 0.0 && um <= 1e3, "an amplitude in µm above 0, at most 1000")
-}
-
-fn parse_force_n(text: &str) -> Result<f64, String> {
-    parse_number(text, |newton| (0.0..=100.0).contains(&newton), "a force in N from 0 to 100")
 }
 
 fn parse_phase_margin(text: &str) -> Result<f64, String> {

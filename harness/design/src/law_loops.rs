@@ -84,14 +84,15 @@ impl<'a> LoopCase<'a> {
     }
 
     /// The loop at the highest setpoint and the first conditions of `scenario`. `None` if the linear
-    /// form does not describe it: another design plate, a specified delay, or an effect of the plate.
+    /// form does not describe it: another design plate, a specified delay, an effect of the plate, or
+    /// a steady state beyond the limits of drive and frequency.
     pub fn of_scenario(scenario: &'a Scenario, law: LawId) -> Option<Self> {
         let (plate, controller) = (&scenario.plate, &scenario.controller);
         let is_described = controller.design_plate.is_none()
             && controller.design_delay == Time::ZERO
             && controller.loop_delay_jitter == Time::ZERO
             && plate.first_effect().is_none();
-        is_described.then(|| Self {
+        let case = Self {
             plate,
             law,
             conditions: scenario.conditions.at(Time::ZERO),
@@ -101,7 +102,11 @@ impl<'a> LoopCase<'a> {
             period_us: controller.period.wrapping_micros(),
             response_s: controller.response_time_ms.map(|ms| ms / 1e3),
             gains: platebench_engine::configure(scenario, law).gains,
-        })
+        };
+        let steady = case.steady_drive(Model::Modal)?;
+        let offset_hz = (steady.omega - case.start_omega).abs() / TAU;
+        let is_reached = steady.vpp < plate.drive_limit_vpp && offset_hz < controller.frequency_range_hz;
+        (is_described && is_reached).then_some(case)
     }
 
     pub fn period(&self) -> f64 {

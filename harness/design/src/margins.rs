@@ -25,7 +25,7 @@ use std::time::Instant;
 
 /// Largest number of trials of a search. With twelve searches, a step and the trials with noise, an
 /// operating point needs at most 300.
-const MAX_SEARCH_TRIALS: u32 = 24;
+const MAX_SEARCH_TRIALS: u64 = 24;
 const NOISE_TRIALS: u64 = 5;
 /// Further seeds at both ends of the interval of a search, if the plate is noisy.
 const RETESTS: u64 = 3;
@@ -118,7 +118,7 @@ pub fn measure_margins(
     if config.cancel.is_cancelled() || results.len() < tasks.len() {
         return Err(MarginError::Cancelled);
     }
-    let parts = results.chunks(tasks.len() / cases.len().max(1));
+    let parts = results.chunks((tasks.len() / cases.len().max(1)).max(1));
     let measured = cases.iter().zip(parts).map(|(case, parts)| case_margins(config, case, parts));
     Ok((measured.collect::<Result<_, _>>()?, skipped))
 }
@@ -191,13 +191,15 @@ impl Search<'_, '_> {
                 break;
             }
         }
+        let is_noisy = self.case.plate.noise_um_rms > 0.0;
+        let most = MAX_SEARCH_TRIALS - if is_noisy { 2 * RETESTS } else { 0 };
         while let (Some(low), Some(high)) = ends(&tests)
             && high - low > self.quantity.resolution(self.case, high)
-            && tests.len() < MAX_SEARCH_TRIALS as usize
+            && (tests.len() as u64) < most
         {
             self.test(f64::midpoint(low, high), 0, &mut tests)?;
         }
-        if self.case.plate.noise_um_rms > 0.0 {
+        if is_noisy {
             let (low, high) = ends(&tests);
             for value in low.into_iter().chain(high) {
                 for seed in 1..=RETESTS {

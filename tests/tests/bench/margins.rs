@@ -22,7 +22,7 @@ fn writes_tables_maps_and_chart_over_operating_points() {
         "delay margin, periods",
         "settling_time_ms",
         "Speed against accuracy",
-        "within 5 % of its mean in the last 100 of 1600 periods",
+        "In the last 100 of 1600 periods the amplitude stays within 5 % of its mean",
     ]);
     assert_eq!(folder.read("m/margins.csv").lines().count(), 1 + 4);
     for file in ["m/stability.html", "m/margins.json", "m/speed-accuracy.svg", "m/map-delay.svg"] {

@@ -186,7 +186,7 @@ fn a_campaign_without_an_applicable_law_ends_with_4() {
 
 /// At a period of 20 ms the plate follows a drive within a period, so the open loop is 1.9/(z − 1).
 #[test]
-fn the_gain_margin_of_an_own_integrator_is_at_half_the_sampling_rate() {
+fn measures_the_gain_margin_of_an_own_integrator() {
     let law = "(lambda law: (setattr(law, 'u', getattr(law, 'u', 0.0) + 1.9 * (setpoint - wd) / 0.00698), \
                (min(max(law.u, 0.0), law.limit), 0.0, 0))[1])(self.law)";
     let Some(controller) = OwnController::new(&[ANNOUNCES_NONE, (STEP, law)]) else { return };

@@ -4,7 +4,7 @@ use super::StabilityArgs;
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::job_count;
 use crate::selection::warn_of_plate;
-use crate::shutdown::{EventSender, WorkResult, run_until_signal, unless_signalled};
+use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use platebench_design::margins::report::build_section;
 use platebench_design::margins::result::{CaseMargins, MarginReport};
@@ -19,6 +19,7 @@ use platebench_report::page::write_chart_page;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
 use platebench_wire::LawId;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 const SCENARIO: &str = "scenarios/paper/fig13-closed-loop.toml";
@@ -42,8 +43,8 @@ pub(super) fn measure(arguments: &StabilityArgs, rig: &RigSpec) -> CommandResult
         create_folder(folder).or_invalid_at(folder)?;
     }
     let (rig, reference) = (rig.clone(), arguments.reference.clone());
-    let ends = std::sync::Arc::new(SafeEnds::default());
-    let recorded = std::sync::Arc::clone(&ends);
+    let ends = Arc::new(SafeEnds::default());
+    let recorded = Arc::clone(&ends);
     let work = move |cancel: &CancelToken, events: &mut EventSender<(usize, usize)>| {
         search.run(&rig, reference.as_ref(), cancel, &recorded, &mut |done, all| events.send((done, all)))
     };
@@ -54,16 +55,6 @@ pub(super) fn measure(arguments: &StabilityArgs, rig: &RigSpec) -> CommandResult
             stdio::note(&format!("{done} of {all} searches"));
         }
     });
-    let unsafe_end = || {
-        let message = "the controller did not confirm 0 V, or did not stay there: check the amplifier before you touch \
-                       the plate";
-        Failure::new(Exit::Unreachable, &message)
-    };
-    let is_safe = |ended: &std::io::Result<WorkResult<_>>| match ended {
-        Ok(WorkResult::Finished(..)) => ends.are_confirmed() && !ends.have_drive(),
-        _ => true,
-    };
-    let is_safe = is_safe(&ended);
     let report = unless_signalled(ended)?;
     let section = build_section(&report);
     if let Some(folder) = &arguments.out {
@@ -72,7 +63,12 @@ pub(super) fn measure(arguments: &StabilityArgs, rig: &RigSpec) -> CommandResult
             .or_invalid()?;
     }
     stdio::show_result(arguments.format, &report, &section.document);
-    if is_safe { Ok(Exit::Passed) } else { Err(unsafe_end()) }
+    if ends.are_confirmed() && !ends.have_drive() {
+        return Ok(Exit::Passed);
+    }
+    let message =
+        "the controller did not confirm 0 V, or did not stay there: check the amplifier before you touch the plate";
+    Err(Failure::new(Exit::Unreachable, &message))
 }
 
 fn template(arguments: &StabilityArgs) -> Result<ScenarioTemplate, Failure> {

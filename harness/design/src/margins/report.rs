@@ -28,7 +28,7 @@ pub fn build_section(report: &MarginReport) -> ChartSection {
         blocks.push(Block::Table(margin_table(case)));
         let state = match &case.failing {
             Some(failing) => format!("at the operating point {failing} fails"),
-            None => format!("at the operating point {} expectations hold", case.expectations.len()),
+            None => format!("at the operating point these hold: {}", case.expectations.join(", ")),
         };
         blocks.push(Block::Paragraph(format!("{state}; {} trials", case.trials)));
     }
@@ -50,6 +50,12 @@ pub fn build_section(report: &MarginReport) -> ChartSection {
 
 fn name(case: &CaseMargins) -> String {
     format!("{} on {}", case.law, case.rig)
+}
+
+/// Name in the chart, whose legend is narrow.
+fn short_name(case: &CaseMargins) -> String {
+    let kind = case.rig.split(':').next().unwrap_or_default();
+    if case.is_reference { case.law.clone() } else { format!("{} ({kind})", case.law) }
 }
 
 fn point_text(point: &OperatingPoint) -> String {
@@ -85,7 +91,7 @@ fn margin_table(case: &CaseMargins) -> Table {
 fn edge_text(quantity: Quantity, edge: &Edge) -> String {
     let number = |value: f64| match quantity {
         Quantity::DetuningUp | Quantity::DetuningDown => format!("{value:.1}"),
-        Quantity::DriveGain | Quantity::FrequencyGain | Quantity::Delay | Quantity::Force => format!("{value:.3}"),
+        Quantity::DriveGain | Quantity::FrequencyGain | Quantity::Delay | Quantity::Force => format!("{value:.4}"),
     };
     let beyond = if quantity == Quantity::DetuningDown { '<' } else { '>' };
     match (edge.holds_to, edge.fails_from) {
@@ -191,7 +197,7 @@ fn scatter_chart(report: &MarginReport) -> ScatterChart {
     let places: Vec<(usize, usize)> = report
         .cases
         .iter()
-        .map(|case| (index(&mut names, name(case)), index(&mut points, point_text(&case.point))))
+        .map(|case| (index(&mut names, short_name(case)), index(&mut points, point_text(&case.point))))
         .collect();
     let panel = |label: &str, floor: f64, of: &dyn Fn(&CaseMargins) -> Option<f64>| ScatterPanel {
         y_label: label.to_owned(),
@@ -251,8 +257,8 @@ fn map(report: &MarginReport, quantity: Quantity) -> Option<HeatFigure> {
         let at = case.point.coordinates();
         let place = |axis: usize| values(axis).iter().position(|value| *value == at[axis]).unwrap_or_default();
         let others = (0..AXES.len()).filter(|axis| *axis != x && Some(*axis) != y && values(*axis).len() > 1);
-        let others: String = others.map(|axis| format!(", {} {}", AXES[axis], at[axis])).collect();
-        let title = name(case) + &others;
+        let others = others.map(|axis| format!("{} {}", AXES[axis], at[axis]));
+        let title = std::iter::once(name(case)).chain(others).collect::<Vec<_>>().join(", ");
         let number = panels.iter().position(|panel| panel.title == title).unwrap_or_else(|| {
             let (columns, rows) = (values(x).len(), y_axis.values.len());
             let (values, passes) = (vec![vec![None; columns]; rows], vec![vec![None; columns]; rows]);

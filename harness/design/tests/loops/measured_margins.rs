@@ -47,6 +47,7 @@ fn edge(case: &CaseMargins, quantity: Quantity) -> &Edge {
 const UNTOUCHED: PointChoice =
     PointChoice { period_ms: None, setpoint_um: None, detuning_hz: None, force_n: Some(0.0) };
 const FINGER: PointChoice = PointChoice { force_n: Some(2.0), ..UNTOUCHED };
+const LOW: PointChoice = PointChoice { setpoint_um: Some(1.0), ..UNTOUCHED };
 const DETUNED: PointChoice = PointChoice { detuning_hz: Some(86.74), ..UNTOUCHED };
 
 #[rstest]
@@ -58,6 +59,7 @@ const DETUNED: PointChoice = PointChoice { detuning_hz: Some(86.74), ..UNTOUCHED
 #[case::voltage_only("voltage-only", UNTOUCHED, 2)]
 #[case::voltage_only_detuned("voltage-only", DETUNED, 2)]
 #[case::pll("pll", UNTOUCHED, 2)]
+#[case::frequency_only("frequency-only", UNTOUCHED, 2)]
 #[case::deadbeat("deadbeat", UNTOUCHED, 3)]
 fn measured_and_predicted_limits_agree(#[case] law: &str, #[case] point: PointChoice, #[case] predicted: usize) {
     let found = measured(&case(law, point));
@@ -72,7 +74,7 @@ fn measured_and_predicted_limits_agree(#[case] law: &str, #[case] point: PointCh
 /// With a period of many time constants, the plate's answer to a drive is complete after a period.
 /// The open loop is then 1.9/(z − 1), whose phase reaches −180° only at half the sampling rate.
 #[test]
-fn a_digital_integrator_has_its_margin_at_half_the_sampling_rate() {
+fn finds_a_margin_at_half_the_sampling_rate() {
     let mut case = case("voltage-only", PointChoice { period_ms: Some(20.0), ..UNTOUCHED });
     let gain = 1.9 / case.plate.gain;
     let rate = gain / case.controller.period.seconds();
@@ -84,6 +86,14 @@ fn a_digital_integrator_has_its_margin_at_half_the_sampling_rate() {
         panic!("{found:#?}")
     };
     assert!(low <= 2.0 / 1.9 + 0.002 && high >= 2.0 / 1.9 - 0.002 && high - low < 0.005, "{low} … {high}");
+}
+
+/// The law needs a drive 252 Hz above the resonance for 1 µm, and its range ends at 250 Hz.
+#[test]
+fn a_loop_at_its_frequency_limit_has_no_prediction() {
+    let found = measured(&case("frequency-only", LOW));
+    assert!(found.margins.iter().all(|margin| margin.predicted.is_none()), "{found:#?}");
+    assert!(edge(&found, Quantity::Delay).fails_from.is_none(), "{found:#?}");
 }
 
 #[test]
