@@ -7,9 +7,7 @@ use platebench_engine::{Executor, ExecutorSettings, SafeEnds, law};
 use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::{OWN_LAW, load};
-use platebench_rig::{
-    BoxedLink, CancelToken, CheckOptions, HostedLink, Session, check_protocol,
-};
+use platebench_rig::{BoxedLink, CancelToken, CheckOptions, HostedLink, Session, check_protocol};
 use platebench_test_kit::CONFIGURE;
 use platebench_verdict::{judge, measure};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Packet};
@@ -79,8 +77,7 @@ fn failing_scripts(build: fn() -> Box<dyn Mutant>) -> Vec<String> {
     };
     let base = Configure { law: LawId::OpenLoop, ..CONFIGURE };
     let found = check_protocol(&mut link(build), &identity, &base, options).unwrap().differences;
-    let mut names: Vec<_> =
-        found.iter().filter_map(|text| Some(text.split_once(": exchange")?.0.to_owned())).collect();
+    let mut names: Vec<_> = found.iter().filter_map(|text| Some(text.split_once(": exchange")?.0.to_owned())).collect();
     names.dedup();
     names
 }
