@@ -48,8 +48,7 @@ impl Mutant for OwnController {
         match &mut packet.message {
             Message::Configure(configure) => {
                 self.memory.configurations += 1;
-                let kept = (self.memory.configurations, self.memory.setpoint_um);
-                self.memory = Memory { configurations: kept.0, ..Memory::default() };
+                self.memory = Memory { configurations: self.memory.configurations, ..Memory::default() };
                 configure.law = self.law;
                 configure.gains = None;
                 if configure.response_time_s == 0.0 {
@@ -283,5 +282,4 @@ fn a_property_finds_a_fault_of_an_own_law(#[case] build: fn() -> Box<dyn Mutant>
     found.sort_unstable();
     found.dedup();
     assert!(found.contains(&property), "{found:?}");
-    println!("{property}: {found:?}");
 }
