@@ -6,9 +6,7 @@ use crate::record_queries::{CauseGroup, OwnVerdict};
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use platebench_model::record::{
-    Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict,
-};
+use platebench_model::record::{Cause, CostTrend, Event, ExpectationRecord, RunRecord, ScenarioRecord, Verdict};
 use platebench_model::scenario::NotApplicableExpectation;
 use platebench_model::{quoted, quoted_path};
 use std::fmt::Write as _;
