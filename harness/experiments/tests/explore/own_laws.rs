@@ -99,7 +99,9 @@ fn integral_only(configure: &Configure) -> Gains {
     Gains { amplitude_ki, frequency_ki: ki / configure.time_constant_s, ..NO_GAINS }
 }
 
-const CORRECT: [(&str, fn() -> Box<dyn Mutant>); 10] = [
+type Build = fn() -> Box<dyn Mutant>;
+
+const CORRECT: [(&str, Build); 10] = [
     ("adaptive", || Box::new(own(LawId::DqPi, 0.0))),
     ("fixed", || Box::new(own(LawId::DqPiFixed, 0.0))),
     ("adaptive, slow", || Box::new(own(LawId::DqPi, 8.0))),
@@ -195,7 +197,7 @@ fn wrong_table_entry(_: &mut Memory, message: &mut Message) {
 }
 
 fn alternates(memory: &mut Memory, message: &mut Message) {
-    let factor = if memory.samples % 2 == 0 { 1.04 } else { 0.96 };
+    let factor = if memory.samples.is_multiple_of(2) { 1.04 } else { 0.96 };
     on_command(message, |drive| *drive = (*drive * factor).min(400.0));
 }
 
