@@ -170,7 +170,7 @@ fn slow_after_a_thousand_samples(memory: &mut Memory, message: &mut Message) {
 
 fn drives_after_a_long_rest(memory: &mut Memory, message: &mut Message) {
     if let Message::Command(command) = message
-        && (memory.samples > 1_800 && memory.setpoint_um == 0.0)
+        && (memory.samples > 1_500 && memory.setpoint_um == 0.0)
         && command.state == ControllerState::Running
     {
         command.drive_vpp = command.drive_vpp.max(3.0);
