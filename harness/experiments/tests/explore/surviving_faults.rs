@@ -1,7 +1,7 @@
 //! Tests that faults of classes which survived the suite before are found: state that grows with time,
 //! memory of a configuration that differs in one figure, values at borders, timeouts with other
 //! periods, short timeouts, and messages before the first configuration. Each controller has an own
-//! law, so no reference tells its figures.
+//! law, so its commands are not compared with a reference.
 
 use platebench_engine::{Executor, ExecutorSettings, SafeEnds, law};
 use platebench_experiments::trust::{Mutant, MutantController};
