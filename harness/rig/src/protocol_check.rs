@@ -400,7 +400,7 @@ mod tests {
     #[case::both_loops_higher([1.0, 1.05], &[])]
     #[case::another_plate([1.0 / 1.2, 1.0],
         &["random samples with the law's own design",
-        "gains of the law's own design", "gains that are not used"])]
+        "gains of the law's own design", "gains that are not used", "configurations that differ in one figure"])]
     fn a_design_may_be_five_percent_off(#[case] factors: [f32; 2], #[case] expected: &[&str]) {
         let identity = *Session::open(HostedLink::new()).unwrap().identity();
         let mut link = OtherDesign(HostedLink::new(), factors);

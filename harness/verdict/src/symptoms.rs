@@ -22,6 +22,8 @@ const UNMOVED: f64 = 1e-4;
 /// at most the second.
 const SPIKE: f64 = 0.3;
 const NEIGHBOUR: f64 = 0.05;
+/// A law whose drive follows the setpoint only.
+const OPEN_LOOP: &str = "open-loop";
 
 pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<LoopSymptom> {
     if telemetry.not_finite.is_some() {
@@ -49,7 +51,8 @@ pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Tele
     } else if !is_disturbed && winds_up(&driven, limit) {
         Some(LoopSymptom::WindUp)
     } else {
-        is_unmoved(&driven, limit).then_some(LoopSymptom::UnmovedDrive)
+        let is_unmoved = scenario.controller.law != OPEN_LOOP && is_unmoved(&driven, limit);
+        is_unmoved.then_some(LoopSymptom::UnmovedDrive)
     }
 }
 

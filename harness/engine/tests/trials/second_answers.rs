@@ -166,18 +166,36 @@ fn after_the_50th_command(packet: &Packet, message: Message) -> Option<Vec<u8>> 
     is_late.then(|| frame(&Packet { sequence: packet.sequence, message }))
 }
 
-/// No script of the protocol check is part of the scenario.
-#[rstest]
-#[case::identity(|packet| after_the_50th_command(packet, Message::Identity(IDENTITY)))]
-#[case::configured(|packet| after_the_50th_command(packet, Message::Configured(Configured { outcome: Ok(NO_GAINS) })))]
-#[case::tick(|packet| after_the_50th_command(packet, Message::Tick(Tick { target_time_us: 1 })))]
-#[case::echo_of_a_request(|packet| after_the_50th_command(packet, Message::Safe))]
-#[case::idle_command(|packet| {
+fn late_identity(packet: &Packet) -> Option<Vec<u8>> {
+    after_the_50th_command(packet, Message::Identity(IDENTITY))
+}
+
+fn late_configured(packet: &Packet) -> Option<Vec<u8>> {
+    after_the_50th_command(packet, Message::Configured(Configured { outcome: Ok(NO_GAINS) }))
+}
+
+fn late_tick(packet: &Packet) -> Option<Vec<u8>> {
+    after_the_50th_command(packet, Message::Tick(Tick { target_time_us: 1 }))
+}
+
+fn late_echo(packet: &Packet) -> Option<Vec<u8>> {
+    after_the_50th_command(packet, Message::Safe)
+}
+
+fn late_idle(packet: &Packet) -> Option<Vec<u8>> {
     let Message::Command(command) = packet.message else { return None };
     let idle = Command { state: ControllerState::Idle, drive_vpp: 0.0, flags: 0, ..command };
     let sequence = packet.sequence.wrapping_add(100);
     (packet.sequence == 50).then(|| frame(&Packet { sequence, message: Message::Command(idle) }))
-})]
+}
+
+/// No script of the protocol check is part of the scenario.
+#[rstest]
+#[case::identity(late_identity)]
+#[case::configured(late_configured)]
+#[case::tick(late_tick)]
+#[case::echo_of_a_request(late_echo)]
+#[case::idle_command(late_idle)]
 fn a_message_that_no_request_caused_fails(#[case] more: fn(&Packet) -> Option<Vec<u8>>) {
     let record = run_with(more);
     assert_eq!((record.verdict, violations(&record)), (Verdict::Fail, vec![ViolationKind::UnrequestedMessage]));

@@ -1,5 +1,5 @@
 //! Measures how fast a law of the controller's own is. The limits of its scenes follow from it,
-//! because nobody but its author knows its design.
+//! because the bench does not know its design.
 
 use crate::explore::envelope::Envelope;
 use crate::explore::limits::{BAND, ExploredLaw, OwnLaw};

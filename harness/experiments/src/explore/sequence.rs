@@ -700,7 +700,7 @@ impl Draw<'_> {
             _ if self.limits.has_loop_delay => {
                 let period = self.pick(&[1_000, 3_000], 1_000);
                 (change.period_us, change.gains) = (Some(period), None);
-                change.loop_delay_us = Some(self.pick(&[1, period / 20, period / 12, period / 3, period], 1));
+                change.loop_delay_us = Some(self.pick(&[1, period / 20, period / 12, period, period / 3, period], 1));
             }
             _ => change.watchdog_timeout_ms = Some(u16::MAX),
         }

@@ -48,8 +48,7 @@ impl Mutant for OwnController {
         match &mut packet.message {
             Message::Configure(configure) => {
                 self.memory.configurations += 1;
-                let kept = (self.memory.configurations, self.memory.setpoint_um);
-                self.memory = Memory { configurations: kept.0, ..Memory::default() };
+                self.memory = Memory { configurations: self.memory.configurations, ..Memory::default() };
                 configure.law = self.law;
                 configure.gains = None;
                 if configure.response_time_s == 0.0 {
@@ -100,7 +99,9 @@ fn integral_only(configure: &Configure) -> Gains {
     Gains { amplitude_ki, frequency_ki: ki / configure.time_constant_s, ..NO_GAINS }
 }
 
-const CORRECT: [(&str, fn() -> Box<dyn Mutant>); 10] = [
+type Build = fn() -> Box<dyn Mutant>;
+
+const CORRECT: [(&str, Build); 10] = [
     ("adaptive", || Box::new(own(LawId::DqPi, 0.0))),
     ("fixed", || Box::new(own(LawId::DqPiFixed, 0.0))),
     ("adaptive, slow", || Box::new(own(LawId::DqPi, 8.0))),
@@ -196,7 +197,7 @@ fn wrong_table_entry(_: &mut Memory, message: &mut Message) {
 }
 
 fn alternates(memory: &mut Memory, message: &mut Message) {
-    let factor = if memory.samples % 2 == 0 { 1.04 } else { 0.96 };
+    let factor = if memory.samples.is_multiple_of(2) { 1.04 } else { 0.96 };
     on_command(message, |drive| *drive = (*drive * factor).min(400.0));
 }
 
@@ -283,5 +284,4 @@ fn a_property_finds_a_fault_of_an_own_law(#[case] build: fn() -> Box<dyn Mutant>
     found.sort_unstable();
     found.dedup();
     assert!(found.contains(&property), "{found:?}");
-    println!("{property}: {found:?}");
 }

@@ -117,7 +117,8 @@ fn a_sequence_is_equal_as_a_file() {
     for index in 0..72 {
         let sequence = limits().sequence(7, index);
         assert_eq!(limits().sequence(7, index), sequence);
-        assert!(matches!(sequence.first(), Some(ScenarioMessage::Configure(_))));
+        // One in eleven starts before the first configuration.
+        assert_eq!(matches!(sequence.first(), Some(ScenarioMessage::Configure(_))), index % 11 != 10);
         config.sequence_scenario(&sequence, "A sequence", "").write(folder.path(), "sequence", &[]).unwrap();
         let loaded = load(&folder.path().join("sequence.toml"), "sequence.toml").unwrap();
         assert_eq!(loaded.messages, sequence, "{index}");

@@ -7,7 +7,7 @@ use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use platebench_model::record::{
-    Cause, CostTrend, Event, ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict, VerdictCounts,
+    Cause, CostTrend, Event, ExpectationRecord, RunRecord, ScenarioRecord, Verdict, VerdictCounts,
 };
 use platebench_model::scenario::NotApplicableExpectation;
 use platebench_model::{quoted, quoted_path};
@@ -245,18 +245,21 @@ fn write_not_passed(text: &mut String, record: &RunRecord, style: Style) {
 fn write_not_applicable(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     // The groups below contain the scenarios that do not apply to an own law, and the list of what
     // did not pass contains the scenarios that `--require-all` needs.
-    let is_listed = |scenario: &&NotApplicable| in_full || scenario.expectations == 0;
-    let listed = record_queries::skipped_scenarios(record).iter().filter(is_listed);
-    let mut reasons: Vec<String> = listed.map(|scenario| format!("{}: {}", scenario.file, scenario.reason)).collect();
+    let skipped = record_queries::skipped_scenarios(record);
+    let listed: Vec<_> = skipped.iter().filter(|scenario| in_full || scenario.expectations == 0).collect();
     let groups = record_queries::not_applicable_groups(record);
-    reasons.extend(groups.iter().map(format::not_applicable_group));
+    let lines = listed.iter().map(|scenario| format!("{}: {}", scenario.file, scenario.reason));
+    let mut reasons: Vec<String> = lines.chain(groups.iter().map(format::not_applicable_group)).collect();
     if !in_full && reasons.len() > 1 {
-        let unplayed = record_queries::skipped_scenarios(record).len();
         let expectations = groups.iter().map(|group| group.expectations).sum();
-        let parts = [(unplayed, "scenario"), (expectations, "expectation")].into_iter();
-        let parts: Vec<_> =
-            parts.filter(|(number, _)| *number > 0).map(|(number, one)| format::count(number, one)).collect();
-        reasons = vec![format!("{}; -v lists the reasons", parts.join(" and "))];
+        let counts = [(skipped.len(), "scenario"), (expectations, "expectation")].into_iter();
+        let counts = counts.filter(|(number, _)| *number > 0).map(|(number, one)| format::count(number, one));
+        let counts = counts.collect::<Vec<_>>().join(" and ");
+        let all = listed.iter().map(|scenario| scenario.reason.as_str()).chain(groups.iter().map(|group| group.reason));
+        reasons = vec![match format::distinct(all).as_slice() {
+            [reason] => format!("{counts}, listed with -v: {reason}"),
+            _ => format!("{counts}; -v lists the reasons"),
+        }];
     }
     for reason in reasons {
         style.write_wrapped(text, "not applicable: ", "  ", &reason);

@@ -3,7 +3,9 @@
 use crate::fixtures;
 use crate::fixtures::open_loop;
 use crate::page::write_page;
-use platebench_model::record::{ExpectationRecord, Limit, MetricDefinition, RunRecord, Statistic, Verdict};
+use platebench_model::record::{
+    ExpectationRecord, Limit, MetricDefinition, RunRecord, ScenarioRecord, Statistic, Verdict,
+};
 use platebench_report::page;
 use rstest::rstest;
 use std::fs;
@@ -65,6 +67,32 @@ fn names_the_first_failed_and_the_last_passed_run() {
     );
     fs::write(runs.0.path().join("d/run.json"), "damaged").unwrap();
     assert!(not_passed_since(&now).starts_with("Since c (2026-03-03T00:00:00Z), 1 run ago. It last passed in b"));
+}
+
+/// Of two failed scenarios, the one that passed before is listed first.
+#[rstest]
+#[case::none_is_new(None, "a.toml")]
+#[case::the_second_is_new(Some(1), "b.toml")]
+fn a_new_failure_comes_first(#[case] passed: Option<usize>, #[case] first: &str) {
+    let two = |record: &mut RunRecord| {
+        let named = |file: &str| ScenarioRecord { file: file.to_owned(), ..open_loop() };
+        record.scenarios = vec![named("a.toml"), named("b.toml")];
+    };
+    let runs = RunFolders::new();
+    let (record, folder) = runs.write("now", "2026-03-05T00:00:00Z", two);
+    runs.write("before", "2026-03-04T00:00:00Z", |record| {
+        two(record);
+        if let Some(index) = passed {
+            record.scenarios[index].expectations[0].verdict = Verdict::Pass;
+        }
+    });
+    let path = folder.join(page::FILE);
+    page::ReportPage::new(&record, &folder).with_earlier_runs().write(&path).unwrap();
+    let text = fs::read_to_string(&path).unwrap();
+    let (_, open) = text.split_once("id=\"open\"").unwrap();
+    let place = |file: &str| open.find(file).unwrap();
+    let other = if first == "a.toml" { "b.toml" } else { "a.toml" };
+    assert!(place(first) < place(other));
 }
 
 #[test]

@@ -80,9 +80,9 @@ fn wound_up(until: usize, peak: f64) -> Vec<Row> {
 
 #[rstest]
 #[case::nothing(changed_rows(|_, _| {}), None)]
-#[case::wind_up(wound_up(14, 0.2), Some(LoopSymptom::WindUp))]
-#[case::leaves_the_limit_in_time(wound_up(13, 0.2), None)]
-#[case::passes_the_setpoint_slightly(wound_up(14, 0.05), None)]
+#[case::wind_up(wound_up(13, 0.2), Some(LoopSymptom::WindUp))]
+#[case::leaves_the_limit_in_time(wound_up(12, 0.2), None)]
+#[case::passes_the_setpoint_slightly(wound_up(14, 0.049), None)]
 #[case::spike(changed_rows(|number, row| if number == 30 { row.drive_vpp = 600.0 }), Some(LoopSymptom::DriveSpike))]
 #[case::two_samples(changed_rows(|number, row| if number / 2 == 15 { row.drive_vpp = 600.0 }), None)]
 #[case::small_spike(changed_rows(|number, row| if number == 30 { row.drive_vpp = 569.0 }), None)]
