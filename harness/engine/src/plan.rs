@@ -112,7 +112,7 @@ pub struct RunHooks<'a> {
     pub cancel: CancelToken,
     pub operator: &'a dyn Operator,
     pub live_tap: LiveTap,
-    pub on_event: Box<dyn FnMut(Event) + Send + 'a>,
+    pub on_event: Box<dyn FnMut(Event) + 'a>,
     /// The events of this number of first trials of each scenario contain the rows.
     pub trials_with_rows: usize,
     /// Session that the run takes over and leaves at 0 V, for a controller that keeps its history

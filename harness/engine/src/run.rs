@@ -27,7 +27,7 @@ pub fn run(
     connect: &LinkFactory<'_>,
     hooks: RunHooks<'_>,
 ) -> Result<RunRecord, RunError> {
-    let RunHooks { cancel, operator, live_tap, on_event, trials_with_rows, kept_session } = hooks;
+    let RunHooks { cancel, operator, live_tap, mut on_event, trials_with_rows, kept_session } = hooks;
     let started = Instant::now();
     for scenario in &plan.scenarios {
         let others = scenario.between.iter().chain(scenario.other_trials.as_deref());
@@ -54,7 +54,7 @@ pub fn run(
     let rig = rig_record(plan, &first, &firmware);
     let mut record = initial_record(plan, folder, rig, scenarios.into_iter().zip(inputs), &journal);
     record.not_applicable = not_applicable;
-    let recorder = RunRecorder { record, journal, on_event };
+    let recorder = RunRecorder { record, journal };
     recorder.write(folder)?;
     let ends = SafeEnds::default();
     let settings = ExecutorSettings {
@@ -70,8 +70,8 @@ pub fn run(
     let mut executors = vec![Executor::new(connect, settings.clone(), &ends).with_session(first)];
     executors.extend((1..plan.jobs).map(|_| Executor::new(connect, settings.clone(), &ends)));
     let player = RunPlayer::new(&plan.overrides, &selected, folder, &cancel, &live_tap, trials_with_rows, recorder);
-    let played = player.play(&mut executors);
-    let mut recorder = player.finish(played.is_ok());
+    let played = player.play(&mut executors, &mut on_event);
+    let mut recorder = player.finish(played.is_ok(), &mut on_event);
     // Also after an error, because the record must state whether 0 V was confirmed.
     if let (Some(slot), Some(first)) = (&kept_session, executors.first_mut()) {
         *slot.lock().unwrap_or_else(PoisonError::into_inner) = first.rest();

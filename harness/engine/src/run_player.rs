@@ -5,9 +5,9 @@ use crate::executor::Executor;
 use crate::live_tap::LiveTap;
 use crate::plan::RunError;
 use crate::run_recorder::RunRecorder;
-use crate::workers::run_workers;
+use crate::workers::{Emit, run_workers};
 use platebench_model::record::{
-    FolderError, KeepTraces, Overrides, RunFolder, TrialRecord, Verdict, to_hex, trace_path,
+    Event, FolderError, KeepTraces, Overrides, RunFolder, TrialRecord, Verdict, to_hex, trace_path,
 };
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Row, TraceError, TraceWriter};
@@ -43,7 +43,7 @@ pub(crate) struct RunPlayer<'a> {
     scenarios: Vec<ScenarioPlay<'a>>,
     /// `--fail-fast` sets it. No further trial starts then, and trials in progress end normally.
     stop: AtomicBool,
-    recorder: Mutex<RunRecorder<'a>>,
+    recorder: Mutex<RunRecorder>,
 }
 
 struct ScenarioPlay<'a> {
@@ -83,7 +83,7 @@ impl<'a> RunPlayer<'a> {
         cancel: &'a CancelToken,
         live_tap: &'a LiveTap,
         trials_with_rows: usize,
-        recorder: RunRecorder<'a>,
+        recorder: RunRecorder,
     ) -> Self {
         let scenarios = selected.iter().map(|selected| ScenarioPlay::new(&selected.scenario, selected.law));
         let (scenarios, stop, recorder) = (scenarios.collect(), AtomicBool::new(false), Mutex::new(recorder));
@@ -91,7 +91,13 @@ impl<'a> RunPlayer<'a> {
     }
 
     /// Plays until every scenario is judged, or `--fail-fast` stops the run.
-    pub(crate) fn play(&self, executors: &mut [Executor<'_>]) -> Result<(), RunError> {
+    ///
+    /// The thread of the caller receives the events, so that a worker requests 0 V although the output is blocked.
+    pub(crate) fn play(&self, executors: &mut [Executor<'_>], on_event: &mut dyn FnMut(Event)) -> Result<(), RunError> {
+        let mut sink = |event| {
+            on_event(event);
+            Ok(ControlFlow::Continue(()))
+        };
         loop {
             // First all scenarios reach their first look. Then the undecided scenarios continue.
             let mut tasks: Vec<TrialTask> =
@@ -104,8 +110,7 @@ impl<'a> RunPlayer<'a> {
             let next = AtomicUsize::new(0);
             let source = || self.may_start().then(|| tasks.get(next.fetch_add(1, Ordering::Relaxed))).flatten();
             let workers = executors.iter_mut().take(tasks.len());
-            let mut sink = |()| Ok(ControlFlow::Continue(()));
-            run_workers(workers, source, |executor, task, _| self.play_task(executor, task), &mut sink)?;
+            run_workers(workers, source, |executor, task, emit| self.play_task(executor, task, emit), &mut sink)?;
             if self.cancel.is_cancelled() {
                 return Err(RunError::Cancelled);
             }
@@ -114,19 +119,20 @@ impl<'a> RunPlayer<'a> {
 
     /// After a run without an error, judges the scenarios that `--fail-fast` stopped early, by the
     /// trials that were played.
-    pub(crate) fn finish(self, is_played: bool) -> RunRecorder<'a> {
+    pub(crate) fn finish(self, is_played: bool, on_event: &mut dyn FnMut(Event)) -> RunRecorder {
         let is_stopped = self.stop.into_inner() && is_played;
         let mut recorder = self.recorder.into_inner().unwrap_or_else(PoisonError::into_inner);
         for (number, play) in self.scenarios.into_iter().enumerate().filter(|_| is_stopped) {
             let played = play.played.into_inner().unwrap_or_else(PoisonError::into_inner);
             if !played.is_judged {
-                recorder.finish_scenario(number, judge(play.scenario, &played.measures), played.records, None);
+                let judgement = judge(play.scenario, &played.measures);
+                recorder.finish_scenario(number, judgement, played.records, None).into_iter().for_each(&mut *on_event);
             }
         }
         recorder
     }
 
-    fn recorder(&self) -> MutexGuard<'_, RunRecorder<'a>> {
+    fn recorder(&self) -> MutexGuard<'_, RunRecorder> {
         self.recorder.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -134,16 +140,22 @@ impl<'a> RunPlayer<'a> {
         !self.cancel.is_cancelled() && !self.stop.load(Ordering::Relaxed)
     }
 
-    fn play_task(&self, executor: &mut Executor<'_>, task: &TrialTask) -> Result<(), RunError> {
+    fn play_task(
+        &self,
+        executor: &mut Executor<'_>,
+        task: &TrialTask,
+        emit: &mut Emit<'_, Event>,
+    ) -> Result<(), RunError> {
         let Some(play) = self.scenarios.get(task.scenario) else { return Ok(()) };
         if task.trials.start == 0 {
-            self.recorder().start_scenario(play.scenario);
+            let (scenario, trials) = (play.scenario.file.clone(), play.scenario.trials.count);
+            emit(Event::ScenarioStarted { scenario, trials });
         }
         for index in task.trials.clone() {
             if index > task.trials.start && !self.may_start() {
                 break;
             }
-            let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(executor, task.scenario, play, index)));
+            let played = catch_unwind(AssertUnwindSafe(|| self.play_trial(executor, task.scenario, play, index, emit)));
             let error = match played {
                 Ok(Ok(true)) => continue,
                 Ok(Ok(false)) => break,
@@ -166,6 +178,7 @@ impl<'a> RunPlayer<'a> {
         number: usize,
         play: &ScenarioPlay<'_>,
         index: u32,
+        emit: &mut Emit<'_, Event>,
     ) -> Result<bool, RunError> {
         let ScenarioPlay { scenario, law, .. } = *play;
         let span = info_span!("trial", scenario = %scenario.file, index).entered();
@@ -180,7 +193,7 @@ impl<'a> RunPlayer<'a> {
             trials.end_trial();
             if !self.cancel.is_cancelled() {
                 trials.is_timed_out = true;
-                self.judge_at_time_limit(number, scenario, &mut trials)?;
+                self.judge_at_time_limit(number, scenario, &mut trials, emit)?;
             }
             return Ok(false);
         };
@@ -203,15 +216,16 @@ impl<'a> RunPlayer<'a> {
         drop(span);
         let is_drawn = (index as usize) < self.trials_with_rows;
         let rows = if is_drawn { played.trace_rows } else { Vec::new() };
-        // Locked until the results are recorded, so that the judgement follows its trials. The worker
+        // Locked until the events are sent, so that the judgement follows its trials. The worker
         // judges, so that it knows before its next trial whether `--fail-fast` stops the run.
         let mut trials = play.lock_trials();
         trials.end_trial();
         trials.measures.push(measures);
         trials.records.push(record.clone());
-        self.recorder().add_trial(number, record, rows)?;
+        let event = self.recorder().add_trial(number, record, rows)?;
+        event.map(&mut *emit);
         if trials.is_timed_out {
-            self.judge_at_time_limit(number, scenario, &mut trials)?;
+            self.judge_at_time_limit(number, scenario, &mut trials, emit)?;
             return Ok(false);
         }
         if trials.records.len() < trials.trials_until_look as usize {
@@ -223,7 +237,7 @@ impl<'a> RunPlayer<'a> {
                 trials.trials_until_look = next;
             }
             SequentialDecision::Stop(judgement) => {
-                self.finish_scenario(number, scenario, &mut trials, judgement, None)?;
+                self.finish_scenario(number, scenario, &mut trials, judgement, None, emit)?;
             }
         }
         Ok(true)
@@ -235,12 +249,13 @@ impl<'a> RunPlayer<'a> {
         number: usize,
         scenario: &Scenario,
         trials: &mut PlayedTrials,
+        emit: &mut Emit<'_, Event>,
     ) -> Result<(), RunError> {
         if trials.running > 0 {
             return Ok(());
         }
         let judgement = judge_at_time_limit(scenario, &trials.measures, scenario.timeout_s);
-        self.finish_scenario(number, scenario, trials, judgement, scenario.timeout_s)
+        self.finish_scenario(number, scenario, trials, judgement, scenario.timeout_s, emit)
     }
 
     fn finish_scenario(
@@ -250,6 +265,7 @@ impl<'a> RunPlayer<'a> {
         trials: &mut PlayedTrials,
         judgement: Judgement,
         time_limit_s: Option<f64>,
+        emit: &mut Emit<'_, Event>,
     ) -> Result<(), RunError> {
         trials.is_judged = true;
         let mut records = std::mem::take(&mut trials.records);
@@ -260,7 +276,8 @@ impl<'a> RunPlayer<'a> {
             self.stop.store(true, Ordering::Relaxed);
         }
         info!(scenario = %scenario.file, verdict = %judgement.verdict, "scenario judged");
-        self.recorder().finish_scenario(number, judgement, records, time_limit_s);
+        let event = self.recorder().finish_scenario(number, judgement, records, time_limit_s);
+        event.map(emit);
         Ok(())
     }
 }

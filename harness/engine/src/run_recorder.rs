@@ -14,25 +14,23 @@ use platebench_wire::Identity;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 
-/// Workers share it. Each result is in the journal before its event is sent.
-pub(crate) struct RunRecorder<'a> {
+/// Workers share it. Each result is in the journal before its event is returned.
+pub(crate) struct RunRecorder {
     pub(crate) record: RunRecord,
     pub(crate) journal: TrialJournal,
-    pub(crate) on_event: Box<dyn FnMut(Event) + Send + 'a>,
 }
 
-impl RunRecorder<'_> {
-    pub(crate) fn start_scenario(&mut self, scenario: &Scenario) {
-        let (scenario, trials) = (scenario.file.clone(), scenario.trials.count);
-        (self.on_event)(Event::ScenarioStarted { scenario, trials });
-    }
-
+impl RunRecorder {
     /// `number` is the index of the scenario. The rows are empty unless the report draws the trial.
-    pub(crate) fn add_trial(&mut self, number: usize, trial: TrialRecord, rows: Vec<Row>) -> Result<(), RunError> {
-        let Some(scenario) = self.record.scenarios.get(number) else { return Ok(()) };
+    pub(crate) fn add_trial(
+        &mut self,
+        number: usize,
+        trial: TrialRecord,
+        rows: Vec<Row>,
+    ) -> Result<Option<Event>, RunError> {
+        let Some(scenario) = self.record.scenarios.get(number) else { return Ok(None) };
         self.journal.append(number, scenario, &self.record.rig, &trial).map_err(FolderError::from)?;
-        (self.on_event)(Event::TrialFinished { scenario: scenario.file.clone(), trial: Box::new(trial), rows });
-        Ok(())
+        Ok(Some(Event::TrialFinished { scenario: scenario.file.clone(), trial: Box::new(trial), rows }))
     }
 
     /// `time_limit_s` is the limit that ended the trials.
@@ -42,15 +40,13 @@ impl RunRecorder<'_> {
         judgement: Judgement,
         mut trials: Vec<TrialRecord>,
         time_limit_s: Option<f64>,
-    ) {
-        let Some(record) = self.record.scenarios.get_mut(number) else { return };
+    ) -> Option<Event> {
+        let record = self.record.scenarios.get_mut(number)?;
         trials.sort_by_key(|trial| trial.index);
         (record.verdict, record.expectations) = (judgement.verdict, judgement.expectations);
         (record.trials, record.time_limit_s) = (trials, time_limit_s);
         // `--fail-fast` may leave a scenario without a trial, which has neither started nor ended.
-        if !record.trials.is_empty() || time_limit_s.is_some() {
-            (self.on_event)(Event::scenario_finished(record));
-        }
+        (!record.trials.is_empty() || time_limit_s.is_some()).then(|| Event::scenario_finished(record))
     }
 
     pub(crate) fn write(&self, folder: &RunFolder) -> Result<(), FolderError> {

@@ -39,7 +39,7 @@ pub struct SessionHooks<'a> {
     pub cancel: &'a CancelToken,
 }
 
-pub trait SessionObserver: Send {
+pub trait SessionObserver {
     fn step_started(&mut self, step: &StepRecord);
     fn step_ended(&mut self, step: &StepRecord);
     fn run_event(&mut self, event: &Event);

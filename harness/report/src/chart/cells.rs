@@ -350,12 +350,13 @@ mod tests {
         let mut figure = figure(vec![vec![Some(0.0), None], vec![Some(1.0), Some(2.0)]]);
         figure.panels.push(figure.panels[0].clone());
         let (width, height) = (720.0, 324.0);
-        // Upper right cell of the right panel: columns 205 to 346 of 360, rows 36 to 136 of 280.
-        let expected = [(360.0 + 205.0) / width, 36.0 / height, 141.0 / width, 100.0 / height];
-        assert_eq!(figure.cell_area(1, 1, 1), Some(expected));
+        // Upper right cell of the right panel: columns 192 to 344 of 360, rows 40 to 138 of 280.
+        let expected = [(360.0 + 192.0) / width, 40.0 / height, 152.0 / width, 98.0 / height];
+        let area = figure.cell_area(1, 1, 1).unwrap();
+        assert!(area.iter().zip(expected).all(|(value, expected)| (value - expected).abs() < 1e-9), "{area:?}");
         assert_eq!(figure.cell_area(2, 0, 0), None);
         let svg = figure.svg();
-        assert!(svg.contains("x=\"2260\" y=\"144\" width=\"564\" height=\"400\""), "{svg}");
+        assert!(svg.contains("x=\"2208\" y=\"160\" width=\"608\" height=\"392\""), "{svg}");
     }
 
     // Four classes of 5 below 0 and six of 1/6 above. The class of 0 is the first that passes.
