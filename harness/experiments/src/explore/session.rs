@@ -21,10 +21,10 @@ use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{OWN_LAW, Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigError, RigSpec, Session};
+use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigSpec, Session};
 #[cfg(feature = "firmware-analysis")]
 use platebench_rig::{Capability, ConnectError, EmulatedLink};
-use platebench_wire::{Identity, LawId, Message, Packet, capabilities};
+use platebench_wire::{Identity, LawId, capabilities};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -34,12 +34,10 @@ use std::{fmt, fs};
 const SHRINK_TIME: Duration = Duration::from_mins(1);
 /// Longest wall time for shrinking sequences of messages.
 const SEQUENCE_SHRINK_TIME: Duration = Duration::from_secs(30);
-/// Longest wall time of a sequence of messages.
-const LONGEST_SEQUENCE: Duration = Duration::from_secs(5);
-/// The reference and the comparison take at least this time.
-const FASTEST_EXCHANGE: Duration = Duration::from_micros(20);
-/// Number of exchanges that measure the speed of the rig.
-const MEASURED_EXCHANGES: u32 = 20;
+/// Largest number of messages of a sequence. A measured speed does not decide what is played.
+const LONGEST_SEQUENCE: u64 = 250_000;
+/// As [`LONGEST_SEQUENCE`], for a program or a board, which takes up to some milliseconds per message.
+const LONGEST_SEQUENCE_IN_WALL_TIME: u64 = 10_000;
 /// The exploration ends after this many failing scenes, because more add little information.
 const ENOUGH_FAILURES: u64 = 10;
 const MAX_MINIMAL: usize = 3;
@@ -102,8 +100,8 @@ impl ExploreSession {
             ConnectOptions { reply_timeout: self.reply_timeout, cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
-        let (identity, exchange_time, kind) = identify(&connect, &ends, cancel)?;
-        let mut config = self.config(&identity, exchange_time)?;
+        let (identity, kind) = identify(&connect, &ends, cancel)?;
+        let mut config = self.config(&identity)?;
         if let Some(sequences) = &mut config.sequences {
             sequences.starts_controllers = !kind.loses_bytes();
         }
@@ -160,7 +158,7 @@ impl ExploreSession {
         Ok((report, stop))
     }
 
-    fn config(&self, identity: &Identity, exchange_time: Duration) -> Result<ExploreConfig, ExploreError> {
+    fn config(&self, identity: &Identity) -> Result<ExploreConfig, ExploreError> {
         let law = self.explored_law(identity)?;
         let laws = LawProperties::explored_laws().filter(|other| identity.has_law(*other) && !law.is_own());
         let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
@@ -175,7 +173,7 @@ impl ExploreSession {
             identity,
             self.rig.has_own_clock(),
             self.rig.name() == RigSpec::hosted().name(),
-            LONGEST_SEQUENCE.div_duration_f64(exchange_time.max(FASTEST_EXCHANGE)) as u64,
+            if self.rig.has_own_clock() { LONGEST_SEQUENCE_IN_WALL_TIME } else { LONGEST_SEQUENCE },
         );
         Ok(ExploreConfig {
             envelope: envelope_for(&self.envelope, identity),
@@ -376,24 +374,17 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     reduced
 }
 
-/// Returns the identity, the mean time of an exchange and the kind of the link.
+/// Returns the identity and the kind of the link.
 fn identify(
     connect: &LinkFactory<'_>,
     ends: &SafeEnds,
     cancel: &CancelToken,
-) -> Result<(Identity, Duration, LinkKind), ExploreError> {
-    let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
+) -> Result<(Identity, LinkKind), ExploreError> {
+    let session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
     let identity = *session.identity();
-    let hello = Packet { sequence: 0, message: Message::Hello }.encode();
-    let started = Instant::now();
-    for _ in 0..MEASURED_EXCHANGES {
-        let link = session.link_mut().inner_mut();
-        link.exchange(Duration::ZERO, hello.as_bytes(), &mut Vec::new()).map_err(RigError::Link)?;
-    }
-    let exchange_time = started.elapsed() / MEASURED_EXCHANGES;
     let kind = session.link().kind();
     ends.record(session.close());
-    Ok((identity, exchange_time, kind))
+    Ok((identity, kind))
 }
 
 /// The first sequences with different differences, at most three.

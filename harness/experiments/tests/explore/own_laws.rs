@@ -141,6 +141,7 @@ fn play(build: fn() -> Box<dyn Mutant>, seed: u64, scenes: u64) -> Played {
 fn alarms(build: fn() -> Box<dyn Mutant>, seed: u64, scenes: u64) -> Vec<String> {
     let Played { exploration, own } = play(build, seed, scenes);
     assert_eq!(exploration.scenes, scenes);
+    println!("{} scenes, sequences {:?}", exploration.scenes, exploration.sequences);
     let scenes = exploration.failed.iter().map(|scene| format!("{own:?}, scene {}: {:?}", scene.index, scene.failures));
     let sequences = exploration.failed_sequences.iter();
     scenes.chain(sequences.map(|sequence| format!("sequence {}: {}", sequence.index, sequence.text))).collect()
@@ -157,7 +158,7 @@ fn correct_own_laws_fail_nothing() {
 #[ignore = "minutes; docs/trust.md contains the result"]
 fn correct_own_laws_fail_nothing_in_3000_scenes() {
     for (name, build) in CORRECT {
-        assert_eq!(alarms(build, 53_000, 300), [""; 0], "{name}");
+        assert_eq!(alarms(build, 20_261_129, 300), [""; 0], "{name}");
     }
 }
 
