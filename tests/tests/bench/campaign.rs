@@ -110,8 +110,8 @@ fn a_grid_without_judge_and_requirement_is_a_map() {
     let merged = folder.bench(["campaign", "merge", "c"]).assert_exit(0);
     let result = summary(&folder, "c");
     let firmware = result["firmware_sha256"].as_str().unwrap();
-    assert_eq!((&result["rig"], firmware.len()), (&Value::from("emulated"), 64));
-    let tested = format!("tested: rig emulated, firmware SHA-256 {firmware:.12}\n");
+    assert_eq!((&result["rig"], firmware.len()), (&Value::from("hosted"), 64));
+    let tested = format!("tested: rig hosted, firmware SHA-256 {firmware:.12}\n");
     merged.assert_stdout(&["map, not judged", "of 24 trials", " inconclusive\n", &tested]);
     assert!(result["overall"]["failures"].as_u64().unwrap() > 0, "{result}");
     assert_eq!((&result["verdict"], &result["judged"]), (&Value::Null, &Value::Bool(false)));

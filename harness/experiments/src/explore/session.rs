@@ -37,7 +37,7 @@ const SEQUENCE_SHRINK_TIME: Duration = Duration::from_secs(30);
 /// Largest number of messages of a sequence. A measured speed does not decide what is played.
 const LONGEST_SEQUENCE: u64 = 250_000;
 /// As [`LONGEST_SEQUENCE`], for a program or a board, which takes up to some milliseconds per message.
-const LONGEST_SEQUENCE_IN_WALL_TIME: u64 = 10_000;
+const LONGEST_SEQUENCE_IN_WALL_TIME: u64 = 6_000;
 /// The exploration ends after this many failing scenes, because more add little information.
 const ENOUGH_FAILURES: u64 = 10;
 const MAX_MINIMAL: usize = 3;

@@ -42,7 +42,7 @@ impl MultiplesChart {
         let range = logarithmic_extent(values).map_or((0.5, 20.0), |(low, high)| (low / 1.3, high * 1.3));
         let panels = self.panels.iter().zip(&self.rows).flat_map(|(panels, row)| {
             let named = panels.iter().zip(&self.columns);
-            named.map(move |(points, column)| self.panel(format!("{row}, {column}"), points, range))
+            named.map(move |(points, column)| self.panel([row, column], points, range))
         });
         let names = self
             .series
@@ -54,7 +54,7 @@ impl MultiplesChart {
             LegendEntry::new(Symbol::Line(Role::Mark), &self.edge_label),
         ];
         let chart = PanelChart {
-            title: self.title.clone(),
+            title: format!("{} ({})", self.title, self.value_label),
             has_heading: true,
             panel_size: MULTIPLES_PANEL,
             columns: self.columns.len(),
@@ -64,7 +64,8 @@ impl MultiplesChart {
         chart.svg()
     }
 
-    fn panel(&self, title: String, points: &[MultiplesPoint], (low, high): (f64, f64)) -> Panel {
+    /// The names of row and column are two lines, because one would be wider than the panel.
+    fn panel(&self, [row, column]: [&String; 2], points: &[MultiplesPoint], (low, high): (f64, f64)) -> Panel {
         let no_value = high * 1.25;
         // Points of different series are side by side, so that equal values stay visible.
         let step = 0.8 / self.series.len().max(1) as f64;
@@ -78,9 +79,9 @@ impl MultiplesChart {
         let edge = Mark::Limit { role: Role::Mark, at: AxisValue::Y(no_value), text: None };
         let ticks = |_: &Axis| Ticks::new(round_ticks(&(low..high)), true, |value| value.to_string());
         Panel {
-            title,
+            title: row.clone(),
             x: PanelAxis::names(&self.setting_label, &self.settings, usize::MAX),
-            y: PanelAxis::new(&self.value_label, Scale::Logarithmic, low..high * 1.5, ticks),
+            y: PanelAxis::new(column, Scale::Logarithmic, low..high * 1.5, ticks),
             cells: Vec::new(),
             marks: [edge].into_iter().chain(drawn).collect(),
         }

@@ -141,9 +141,9 @@ fn writes_a_summary() {
 fn a_summary_names_the_fault_of_the_end() {
     let mut record = cancelled_run();
     record.safe_confirmed = Some(false);
-    assert!(github::render_page(&record).contains("the controller did not confirm 0 V; the run was not finished**"));
+    assert!(github::render_page(&record).contains("the controller did not confirm 0 V; the run was not finished"));
     record.rig.name = "serial:/dev/ttyUSB0@1000000".to_owned();
-    assert!(github::render_page(&record).contains("**Check the amplifier before you touch the plate.**"));
+    assert!(github::render_page(&record).contains("# Check the amplifier before you touch the plate.\n"));
     record.drive_after_safe = true;
     let page = github::render_page(&record);
     assert!(
