@@ -99,9 +99,8 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
                 ColumnRole::Time if rows.last().is_some_and(|last| last.t >= value) => {
                     return Err(found("a time after that of the row above"));
                 }
-                ColumnRole::Drive if value < 0.0 => return Err(found("0 or more")),
+                ColumnRole::Drive | ColumnRole::Amplitude if value < 0.0 => return Err(found("0 or more")),
                 ColumnRole::Frequency if value <= 0.0 => return Err(found("a frequency above 0")),
-                ColumnRole::Amplitude if value < 0.0 => return Err(found("0 or more")),
                 role => {
                     if let Some(slot) = values.get_mut(role as usize) {
                         *slot = value;

@@ -115,7 +115,7 @@ fn impossible_estimates_write_no_plate_file() {
         assert!(!folder.exists("plate.toml"));
     }
     let too_high = ["identify", "t.csv", "--columns", NM, "--out", "plate.toml", "--drive-limit-vpp", "3.5e38"];
-    folder.bench(too_high).assert_message(2, &["plate.toml:", "limit_vpp: 3.5e38, expected 1.2e-38 to 3.4e38"]);
+    folder.bench(too_high).assert_message(2, &["plate.toml:", "`: 3.5e38, expected 1.2e-38 to 3.4e38"]);
     assert!(!folder.exists("plate.toml"));
     identify(NM, &[]).assert_exit(0);
     folder.bench(["tune", "--plate", "plate.toml", "--samples", "0"]).assert_exit(0);

@@ -138,19 +138,13 @@ fn the_page_of_a_soak_replaces_a_link() {
 }
 
 #[test]
-fn a_soak_replaces_a_link_and_refuses_one_for_a_folder() {
+fn a_soak_refuses_a_folder_with_a_planted_link() {
     let (folder, private) = (TestFolder::with_step(SETTLING), Private::new());
     folder.write("boards.toml", "[[board]]\nname = \"left\"\nrig = \"hosted\"\n");
     let soak = ["board", "soak", "--board", "left", "--hours", "0.00001", "--out", "soak"];
     fs::create_dir(folder.join("soak")).unwrap();
     private.plant_file(&folder.join("soak/soak.json"));
-    folder.bench(soak).assert_exit(0);
-    assert_written(&folder, &["soak/soak.json"]);
-    private.assert_untouched();
-    fs::remove_dir_all(folder.join("soak")).unwrap();
-    fs::create_dir(folder.join("soak")).unwrap();
-    private.plant_folder(&folder.join("soak/runs"));
-    folder.bench(soak);
+    folder.bench(soak).assert_message(2, &["soak already contains a run"]);
     private.assert_untouched();
 }
 
@@ -191,7 +185,8 @@ fn a_resumed_session_refuses_a_link_in_the_place_of_its_steps() {
     folder.write("record/session.json", &text.replace("\"done\": true", "\"done\": false"));
     private.plant_folder(&folder.join("record/steps"));
     private.plant_file(&folder.join("record/report.html"));
-    let output = crate::accept::run_session(&folder, &["--yes", "--resume", "record"]);
+    let resume = ["acceptance", "run", "--plan", "plan.toml", "--rig", "hosted", "--yes", "--resume", "record"];
+    let output = folder.bench(resume);
     output.assert_message(2, &["record/steps: is a symbolic link"]);
     private.assert_untouched();
 }
