@@ -153,7 +153,9 @@ fn an_exploration_replaces_links_in_the_place_of_files() {
     const FILES: [&str; 2] = ["explored/explore.json", "explored/report.html"];
     let (folder, private) = (TestFolder::new(), Private::new());
     fs::create_dir(folder.join("explored")).unwrap();
-    FILES.iter().for_each(|file| private.plant_file(&folder.join(file)));
+    for file in FILES {
+        private.plant_file(&folder.join(file));
+    }
     let explore = ["suite", "explore", "--rig", "hosted", "--scenes", "2", "--seed", "1", "--out", "explored"];
     folder.bench(explore).assert_exit(0);
     assert_written(&folder, &FILES);
