@@ -30,7 +30,7 @@ const DETUNING_STEP: f64 = 1e-2;
 /// Sensor noise of a trial for the noise gain as a share of the setpoint, if the plate has none.
 const NOISE: f64 = 4e-3;
 
-/// What the text of a result states about [`is_stable`].
+/// What the text of a result states about stability.
 pub const STABILITY_RULE: &str = "Stable: gain or delay are inserted into the steady state, with steps of 0.3 % of \
     the setpoint and of 0.01 in τΔω. In the last 100 of 1600 periods the amplitude stays within 5 % of its mean, and \
     Wd and Wq deviate from their means by at most 5 % of it (or twice as much as before the insertion) and by at most \
