@@ -122,21 +122,16 @@ struct DecimalMarks {
 }
 
 impl DecimalMarks {
-    /// `None` if the cell is no number. Fails if the table has both decimal marks.
+    /// `None` if the cell is not a number. Fails if the table has both decimal marks.
     fn parse(&mut self, cell: &str, delimiter: u8) -> Result<Option<f64>, String> {
+        let has_comma = delimiter != b',' && cell.contains(',');
+        self.has_commas |= has_comma;
         self.has_points |= cell.contains('.');
-        if delimiter == b',' || !cell.contains(',') {
-            return self.check(cell).map(|()| cell.parse().ok());
-        }
-        self.has_commas = true;
-        self.check(cell).map(|()| cell.replacen(',', ".", 1).parse().ok())
-    }
-
-    fn check(&self, cell: &str) -> Result<(), String> {
         if self.has_commas && self.has_points {
             return Err(format!("`{cell}`: the table has decimal commas and decimal points, expected one of them"));
         }
-        Ok(())
+        let number = if has_comma { cell.replacen(',', ".", 1).parse() } else { cell.parse() };
+        Ok(number.ok())
     }
 }
 

@@ -5,7 +5,7 @@ use std::fmt;
 use std::io::Read;
 
 /// Lines before the titles that are searched. The longest preamble of an instrument has some 40.
-const MAX_PREAMBLE: usize = 200;
+pub(super) const MAX_PREAMBLE: usize = 200;
 const DELIMITERS: [u8; 3] = *b",;\t";
 
 /// Form of a table. Displays as a list of what differs from a CSV with titles in its first line.
@@ -59,7 +59,7 @@ pub(super) fn decode(mut table: impl Read) -> Result<(String, bool), String> {
 
 #[derive(Debug)]
 pub(super) struct Titles {
-    cells: csv::StringRecord,
+    pub(super) cells: csv::StringRecord,
     /// Line of the titles, from 1.
     pub(super) line: u64,
     pub(super) dialect: Dialect,
@@ -129,21 +129,23 @@ fn records(
     })
 }
 
-/// The first line that contains all titles of the mapping. A line may begin with `#`.
+/// The first line that contains all titles of the mapping. A line may begin with `#`. The error names
+/// the titles of the line that contains most of them.
 pub(super) fn find_titles(text: &str, columns: &ColumnMapping) -> Result<Titles, LineError> {
-    let mut candidates = text.lines().take(MAX_PREAMBLE).enumerate().flat_map(|(before, line)| {
-        DELIMITERS.map(|delimiter| title_line(before, line, delimiter)).into_iter().flatten()
-    });
-    let has_all = |titles: &Titles| columns.iter().all(|column| !is_missing(titles, &column.title));
-    if let Some(titles) = candidates.find(has_all) {
-        return Ok(titles);
+    let missing = |titles: &Titles| columns.iter().filter(|column| is_missing(titles, &column.title)).count();
+    let mut best: Option<(usize, Titles)> = None;
+    for (before, line) in text.lines().take(MAX_PREAMBLE).enumerate() {
+        for titles in DELIMITERS.into_iter().filter_map(|delimiter| title_line(before, line, delimiter)) {
+            let count = missing(&titles);
+            if count == 0 {
+                return Ok(titles);
+            }
+            if best.as_ref().is_none_or(|(fewest, _)| count < *fewest) {
+                best = Some((count, titles));
+            }
+        }
     }
-    // The error names the titles of a line that contains most of them.
-    let lines = text.lines().take(MAX_PREAMBLE).enumerate();
-    let all = lines.flat_map(|(before, line)| DELIMITERS.map(|delimiter| title_line(before, line, delimiter)));
-    let count = |titles: &Titles| columns.iter().filter(|column| !is_missing(titles, &column.title)).count();
-    let best = all.flatten().reduce(|best, titles| if count(&titles) > count(&best) { titles } else { best });
-    let Some(titles) = best else { return Err((1, "the table is empty, expected titles".to_owned())) };
+    let Some((_, titles)) = best else { return Err((1, "the table is empty, expected titles".to_owned())) };
     let wanted = columns.iter().find(|column| is_missing(&titles, &column.title));
     Err((titles.line, titles.missing(wanted.map_or("", |column| &column.title))))
 }
@@ -166,12 +168,6 @@ pub(super) fn title_line(before: usize, line: &str, delimiter: u8) -> Option<Tit
         is_latin: false,
     };
     Some(Titles { cells, line: before as u64 + 1, dialect })
-}
-
-impl Titles {
-    pub(super) fn cells(&self) -> &csv::StringRecord {
-        &self.cells
-    }
 }
 
 /// True if each used cell is empty or a unit, and at least one is a unit.

@@ -1,10 +1,9 @@
 //! Proposes `--columns` from the titles and units of a table.
 
 use crate::external_csv::columns::{ColumnRole, ROLES, canonical_unit};
-use crate::external_csv::dialect::{Titles, bare_unit, decode, title_line};
+use crate::external_csv::dialect::{MAX_PREAMBLE, Titles, bare_unit, decode, title_line};
 use std::io::Read;
 
-const MAX_LINES: usize = 200;
 /// Beginnings of titles in lower case, by role. The more particular ones come first.
 const TITLES: [(&str, ColumnRole); 17] = [
     ("temp", ColumnRole::Temperature),
@@ -33,7 +32,7 @@ pub fn propose_columns(table: impl Read) -> Option<String> {
     let (text, _) = decode(table).ok()?;
     let (titles, units) = titles_above_numbers(&text)?;
     let mut proposed: Vec<(ColumnRole, String)> = Vec::new();
-    for (place, title) in titles.cells().iter().enumerate() {
+    for (place, title) in titles.cells.iter().enumerate() {
         let (name, in_title) = split_unit(title);
         let lower = name.to_lowercase();
         let matches = |(start, _): &&(&str, ColumnRole)| {
@@ -64,13 +63,14 @@ fn split_unit(title: &str) -> (&str, Option<&str>) {
 
 /// The titles above the first line of numbers, and the row of units between them.
 fn titles_above_numbers(text: &str) -> Option<(Titles, Option<csv::StringRecord>)> {
-    let lines: Vec<_> = text.lines().take(MAX_LINES).enumerate().filter(|(_, line)| !line.trim().is_empty()).collect();
+    let lines: Vec<_> =
+        text.lines().take(MAX_PREAMBLE).enumerate().filter(|(_, line)| !line.trim().is_empty()).collect();
     let cells =
         |at: usize, delimiter: u8| lines.get(at).and_then(|(before, line)| title_line(*before, line, delimiter));
     let is_number = |cell: &str| cell.is_empty() || cell.replacen(',', ".", 1).parse::<f64>().is_ok();
     for delimiter in *b";\t," {
         let is_data = |at: &usize| {
-            cells(*at, delimiter).is_some_and(|line| line.cells().len() > 3 && line.cells().iter().all(is_number))
+            cells(*at, delimiter).is_some_and(|line| line.cells.len() > 3 && line.cells.iter().all(is_number))
         };
         let Some(first) = (0..lines.len()).find(is_data).filter(|first| *first > 0) else { continue };
         let above = cells(first - 1, delimiter)?;
@@ -78,8 +78,8 @@ fn titles_above_numbers(text: &str) -> Option<(Titles, Option<csv::StringRecord>
             let bare = canonical_unit(bare_unit(cell));
             bare.is_empty() || ROLES.iter().any(|role| role.2.iter().any(|unit| unit.0 == bare))
         };
-        if first > 1 && above.cells().iter().all(is_unit) {
-            return Some((cells(first - 2, delimiter)?, Some(above.cells().clone())));
+        if first > 1 && above.cells.iter().all(is_unit) {
+            return Some((cells(first - 2, delimiter)?, Some(above.cells.clone())));
         }
         return Some((above, None));
     }
