@@ -106,9 +106,11 @@ pub fn measure_margins(
         max_losses: Some(MAX_LOSSES),
         ..ExecutorSettings::lockstep(config.cancel)
     };
-    let (cases, skipped) = applicable_cases(config, Executor::new(connect, settings.clone(), ends))?;
+    let mut first = Executor::new(connect, settings.clone(), ends);
+    let (cases, skipped) = applicable_cases(config, &mut first)?;
     let tasks: Vec<Task<'_>> = cases.iter().flat_map(|case| Task::of_case(case, config.quantities)).collect();
-    let executors = (0..config.jobs.max(1)).map(|_| Executor::new(connect, settings.clone(), ends));
+    let further = (1..config.jobs).map(|_| Executor::new(connect, settings.clone(), ends));
+    let executors = std::iter::once(first).chain(further);
     let mut results = Vec::with_capacity(tasks.len());
     in_parallel(executors, &tasks, TaskResult::play, |result| {
         results.push(result);
@@ -125,7 +127,7 @@ pub fn measure_margins(
 
 fn applicable_cases<'a>(
     config: &MarginConfig<'a>,
-    mut executor: Executor<'_>,
+    executor: &mut Executor<'_>,
 ) -> Result<(Vec<&'a Scenario>, Vec<String>), MarginError> {
     let (mut cases, mut skipped) = (Vec::new(), Vec::new());
     for case in config.cases {

@@ -95,20 +95,25 @@ fn quantities(arguments: &StabilityArgs) -> Vec<Quantity> {
 
 /// All combinations of the values that the user names.
 fn points(arguments: &StabilityArgs) -> Vec<PointChoice> {
-    fn or_none(values: &[f64]) -> Vec<Option<f64>> {
-        if values.is_empty() { vec![None] } else { values.iter().copied().map(Some).collect() }
-    }
-    let mut points = Vec::new();
-    for period_ms in or_none(&arguments.period_ms) {
-        for setpoint_um in or_none(&arguments.setpoint_um) {
-            for detuning_hz in or_none(&arguments.detuning_hz) {
-                for force_n in or_none(&arguments.force_n) {
-                    points.push(PointChoice { period_ms, setpoint_um, detuning_hz, force_n });
-                }
-            }
-        }
-    }
+    let mut points = vec![PointChoice::default()];
+    vary(&mut points, &arguments.period_ms, |point, value| point.period_ms = Some(value));
+    vary(&mut points, &arguments.setpoint_um, |point, value| point.setpoint_um = Some(value));
+    vary(&mut points, &arguments.detuning_hz, |point, value| point.detuning_hz = Some(value));
+    vary(&mut points, &arguments.force_n, |point, value| point.force_n = Some(value));
     points
+}
+
+/// Replaces each point by one per value. Without values, the points stay.
+fn vary(points: &mut Vec<PointChoice>, values: &[f64], set: impl Fn(&mut PointChoice, f64)) {
+    if values.is_empty() {
+        return;
+    }
+    let varied = |point: &PointChoice| {
+        let mut each = vec![*point; values.len()];
+        each.iter_mut().zip(values).for_each(|(point, value)| set(point, *value));
+        each
+    };
+    *points = points.iter().flat_map(varied).collect();
 }
 
 struct MarginSearch {
