@@ -421,7 +421,6 @@ mod tests {
         Time::from_nanos(ms * 1_000_000)
     }
 
-    /// Commands: drive in Vpp, offset from the start frequency in mHz, samples since the last one.
     #[test]
     fn equal_differences_are_one_warning() {
         let all = ["a: exchange 3: x", "a: exchange 4: x", "a: exchange 3: y", "b: exchange 3: x"].map(str::to_owned);
@@ -429,6 +428,7 @@ mod tests {
         assert_eq!(distinct_differences(&all), expected);
     }
 
+    /// Commands: drive in Vpp, offset from the start frequency in mHz, samples since the last one.
     #[rstest]
     #[case::within_limits(&[(0.0, 0, 1), (900.0, 100_004, 1), (900.0, 0, 1)], &[])]
     #[case::above_limit(&[(900.1, 0, 1), (1e30, 0, 1)], &[(ViolationKind::DriveAboveLimit, 2)])]

@@ -229,7 +229,7 @@ impl BoardOutcome {
 /// Run folders with the digests of their records. Tells new runs from earlier ones without a clock,
 /// because a clock can be set back.
 #[derive(Debug, Default)]
-pub struct RunsBelow(BTreeMap<PathBuf, Vec<Option<String>>>);
+pub struct RunsBelow(BTreeMap<PathBuf, [Option<String>; 2]>);
 
 impl RunsBelow {
     /// Finds the runs in and below `folder`, which may be missing.
@@ -242,7 +242,7 @@ impl RunsBelow {
     fn add(&mut self, folder: &Path, depth: usize) {
         if is_run_folder(folder) {
             let files = [RECORD_FILE, JOURNAL_FILE].map(|file| sha256_of_file(&folder.join(file)).ok());
-            self.0.insert(folder.to_owned(), files.to_vec());
+            self.0.insert(folder.to_owned(), files);
             return;
         }
         let entries = fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
