@@ -7,7 +7,7 @@ use platebench_model::scenario::{FaultKind, Metric, Scenario, Variation};
 use platebench_plate::Time;
 use platebench_rig::{
     CheckOptions, DrivesAfterSafe, FREQUENCY_TOLERANCE_MHZ, FaultInjector, Link, LinkError, ProtocolCheck,
-    RejectedFrame, RigError, Session, check_protocol,
+    RejectedFrame, RigError, ScriptDifference, Session, check_protocol,
 };
 use platebench_wire::{Command, Configure, ControllerState, Gains, LawId, Sample, StateCause};
 use tracing::warn;
@@ -193,7 +193,10 @@ impl<'a> ControllerLog<'a> {
                 lost => refused_configuration(lost).into_iter().chain(self.checks.violations()).collect(),
             },
             reference_difference_percent: session.link().reference_difference_percent(),
-            protocol_differences: self.protocol_check.as_ref().map(|check| check.differences.clone()),
+            protocol_differences: self
+                .protocol_check
+                .as_ref()
+                .map(|check| check.differences.iter().map(ToString::to_string).collect()),
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             scripts_not_decided: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.undecided.clone()),
@@ -205,16 +208,11 @@ impl<'a> ControllerLog<'a> {
     }
 }
 
-/// The first of the differences that are equal without the numbers of their exchanges, and how many
-/// there are.
-fn distinct_differences(differences: &[String]) -> Vec<(&str, usize)> {
-    let kind = |text: &str| {
-        text.split_once(": exchange ")
-            .and_then(|(script, rest)| rest.split_once(": ").map(|(_, rest)| format!("{script}{rest}")))
-    };
-    let mut distinct: Vec<(&str, usize)> = Vec::new();
+/// The first of each kind of difference, and their number.
+fn distinct_differences(differences: &[ScriptDifference]) -> Vec<(&ScriptDifference, usize)> {
+    let mut distinct: Vec<(&ScriptDifference, usize)> = Vec::new();
     for difference in differences {
-        match distinct.iter_mut().find(|(known, _)| kind(known).is_some() && kind(known) == kind(difference)) {
+        match distinct.iter_mut().find(|(known, _)| known.is_like(difference)) {
             Some((_, count)) => *count += 1,
             None => distinct.push((difference, 1)),
         }
@@ -423,9 +421,13 @@ mod tests {
 
     #[test]
     fn equal_differences_are_one_warning() {
-        let all = ["a: exchange 3: x", "a: exchange 4: x", "a: exchange 3: y", "b: exchange 3: x"].map(str::to_owned);
+        let all = [("a", 3, "x"), ("a", 4, "x"), ("a", 3, "y"), ("b", 3, "x")].map(|(script, exchange, text)| {
+            ScriptDifference { script: script.to_owned(), exchange, text: text.to_owned() }
+        });
+        let found: Vec<_> =
+            distinct_differences(&all).into_iter().map(|(first, count)| (first.to_string(), count)).collect();
         let expected = [("a: exchange 3: x", 2), ("a: exchange 3: y", 1), ("b: exchange 3: x", 1)];
-        assert_eq!(distinct_differences(&all), expected);
+        assert_eq!(found, expected.map(|(text, count)| (text.to_owned(), count)));
     }
 
     /// Commands: drive in Vpp, offset from the start frequency in mHz, samples since the last one.

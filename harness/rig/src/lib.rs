@@ -51,7 +51,9 @@ pub use link::{
     TargetError, UnsupportedAccess,
 };
 pub use port::{DEFAULT_REPLY_TIMEOUT, PtyLink};
-pub use protocol_check::{CheckOptions, ProtocolCheck, ProtocolCoverage, check_protocol, is_defined_law};
+pub use protocol_check::{
+    CheckOptions, ProtocolCheck, ProtocolCoverage, ScriptDifference, check_protocol, is_defined_law,
+};
 pub use rejected_frame::RejectedFrame;
 pub use rigs::exec::{ExecError, ExecLink};
 pub use rigs::hosted::HostedLink;

@@ -77,7 +77,7 @@ fn failing_scripts(build: fn() -> Box<dyn Mutant>) -> Vec<String> {
     };
     let base = Configure { law: LawId::OpenLoop, ..CONFIGURE };
     let found = check_protocol(&mut link(build), &identity, &base, options).unwrap().differences;
-    let mut names: Vec<_> = found.iter().filter_map(|text| Some(text.split_once(": exchange")?.0.to_owned())).collect();
+    let mut names: Vec<_> = found.into_iter().map(|difference| difference.script).collect();
     names.dedup();
     names
 }
