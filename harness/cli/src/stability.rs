@@ -43,8 +43,9 @@ pub(crate) struct StabilityArgs {
     /// Folder for CSV, maps and page; default: only the table
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    #[arg(long = "law", value_name = "NAME", value_parser = law_names(), help = "Control laws of the firmware; default: \
-        all, with --rig that of the scenario. `own` is any algorithm, with --rig")]
+    /// Control laws of the firmware; default: all, with --rig that of the scenario. `own` is any
+    /// algorithm, with --rig
+    #[arg(long = "law", value_name = "NAME", value_parser = law_names())]
     laws: Vec<String>,
     /// The plate file; default: scenarios/plates/aluminium-198x138.toml, with --rig that of the
     /// scenario

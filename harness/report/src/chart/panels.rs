@@ -49,11 +49,11 @@ impl PanelAxis {
         Self { label: label.to_owned(), scale, values, ticks: ticks(&axis) }
     }
 
-    /// Names in the middle of intervals of length 1, of which at most `most` are written.
+    /// Names in the middle of intervals of length 1. At most `most` of them are written.
     pub(crate) fn names(label: &str, names: &[String], most: usize) -> Self {
         let count = names.len().max(1);
-        let shown = names.iter().enumerate().step_by(count.div_ceil(most).max(1));
-        let texts = shown.map(|(number, name)| (number as f64 + 0.5, name.clone())).collect();
+        let written = names.iter().enumerate().step_by(count.div_ceil(most).max(1));
+        let texts = written.map(|(number, name)| (number as f64 + 0.5, name.clone())).collect();
         Self::new(label, Scale::Linear, 0.0..count as f64, |_| Ticks { texts, has_grid: false })
     }
 

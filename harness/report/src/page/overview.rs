@@ -219,7 +219,9 @@ impl NotPassed<'_> {
                 }
                 @if let Some(text) = requirement_text(scenario, expectation) { p.requirement { (text) } }
                 p.where {
-                    @if let Some(since) = self.history.not_passed_since(self.record, scenario, index) { span.since { (since) } " " }
+                    @if let Some(since) = self.history.not_passed_since(self.record, scenario, index) {
+                        span.since { (since) } " "
+                    }
                     @if let Some(trial) = trial {
                         (file_link(&trial.trace))
                         @if self.changed.contains(&trial.trace) { ", " (TRACE_CHANGED) }
