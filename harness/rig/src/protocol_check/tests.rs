@@ -65,12 +65,12 @@ fn check(kind: LinkKind, change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> 
     check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap()
 }
 
-fn texts(check: ProtocolCheck) -> Vec<String> {
+fn texts(check: &ProtocolCheck) -> Vec<String> {
     check.differences.iter().map(ToString::to_string).collect()
 }
 
 fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
-    texts(check(LinkKind::Simulated, change))
+    texts(&check(LinkKind::Simulated, change))
 }
 
 /// Controller that designs its gains for a plate gain K1 multiplied by the first factor, and
@@ -109,7 +109,7 @@ impl Link for OtherDesign {
 fn a_design_may_be_five_percent_off(#[case] factors: [f32; 2], #[case] expected: &[&str]) {
     let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let mut link = OtherDesign(HostedLink::new(), factors);
-    let mut found = texts(check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap());
+    let mut found = texts(&check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap());
     found.sort_unstable();
     assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
     assert_eq!(found.is_empty(), expected.is_empty());
@@ -170,7 +170,7 @@ fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #
     let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
     let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
-    let found = texts(check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap());
+    let found = texts(&check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap());
     assert_eq!(found.len(), differences, "{found:?}");
 }
 
@@ -211,7 +211,7 @@ fn the_law_of_a_configuration_decides_what_is_compared(#[case] law: LawId, #[cas
     let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
     let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
-    let found = texts(check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap());
+    let found = texts(&check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap());
     assert_eq!(found.len(), differences, "{found:?}");
 }
 
@@ -259,7 +259,7 @@ fn play_messages(messages: &[ScenarioMessage], change: impl FnMut(usize, &mut Ve
     let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
     let options = CheckOptions { messages, ..scripts() };
-    texts(check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap())
+    texts(&check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap())
 }
 
 /// Three samples, a stop, and the same samples after the next configuration.
