@@ -54,7 +54,7 @@ pub struct ExploreConfig {
     /// True if every command is compared with the hosted reference.
     pub compares_reference: bool,
     /// Scenarios of earlier explorations, which are played first.
-    pub regressions: Vec<Scenario>,
+    pub regressions: Vec<Regression>,
     /// If present, a sequence of messages follows each scene.
     pub sequences: Option<SequenceLimits>,
     /// True if later scenes and sequences are derived from those that reached something new.
@@ -95,6 +95,14 @@ impl ExploreConfig {
     }
 }
 
+/// A scenario of an earlier exploration.
+#[derive(Debug, Clone)]
+pub struct Regression {
+    pub scenario: Scenario,
+    /// Why the controller or the rig cannot play it.
+    pub not_applicable: Option<String>,
+}
+
 #[derive(Debug, Clone, PartialEq)]
 pub struct FailedScene {
     pub index: u64,
@@ -130,6 +138,16 @@ pub struct UndecidedScene {
 pub struct FailedRegression {
     pub file: String,
     pub properties: Vec<Property>,
+}
+
+/// A scenario of an earlier exploration that has no result.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, JsonSchema)]
+pub struct UnjudgedRegression {
+    pub file: String,
+    pub reason: String,
+    /// False if the scenario does not apply to the controller or the rig. If true, the rig or the
+    /// bench prevented a verdict.
+    pub is_undecided: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, JsonSchema)]
@@ -171,6 +189,7 @@ pub struct Exploration {
     pub rules: ProtocolCoverage,
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
+    pub unjudged_regressions: Vec<UnjudgedRegression>,
     pub coverage: Coverage,
     pub guidance: GuidanceTally,
     pub elapsed: Duration,
@@ -363,7 +382,12 @@ fn play_regressions<L: RecordingLink>(
     exploration: &mut Exploration,
 ) -> Result<(), ExploreError> {
     let mut player = Player::new(connect, config.own_clock, cancel, ends);
-    for scenario in &config.regressions {
+    for Regression { scenario, not_applicable } in &config.regressions {
+        let unjudged = |reason, is_undecided| UnjudgedRegression { file: scenario.file.clone(), reason, is_undecided };
+        if let Some(reason) = not_applicable {
+            exploration.unjudged_regressions.push(unjudged(reason.clone(), false));
+            continue;
+        }
         // Each scenario starts with a new controller, as in `platebench run`.
         player.renew();
         let Some(result) = player.play(scenario)? else { return Ok(()) };
@@ -371,6 +395,8 @@ fn play_regressions<L: RecordingLink>(
         if !result.failures.is_empty() {
             let (file, properties) = (scenario.file.clone(), violated(&result.failures));
             exploration.failed_regressions.push(FailedRegression { file, properties });
+        } else if let Some(cause) = result.undecided {
+            exploration.unjudged_regressions.push(unjudged(cause, true));
         }
     }
     Ok(())

@@ -4,6 +4,7 @@
 use crate::explore::coverage::{ChangeKind, RangeCoverage};
 use crate::explore::exploration::{
     Exploration, ExploreConfig, FailedRegression, FailedScene, PropertyTally, SequenceTally, UndecidedScene,
+    UnjudgedRegression,
 };
 use crate::explore::guidance::GuidanceTally;
 use crate::explore::limits::{LawProperties, OwnLaw};
@@ -61,6 +62,9 @@ pub struct ExploreReport {
     pub properties: Vec<PropertyReport>,
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
+    /// Scenarios of earlier explorations without a result; absent if there is none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub unjudged_regressions: Vec<UnjudgedRegression>,
     /// Violations of at most three properties, one per property.
     pub violations: Vec<ViolationReport>,
     pub coverage: CoverageReport,
@@ -124,7 +128,7 @@ impl ExploreReport {
         let failed = exploration.failed.len() as u64;
         let sequences = exploration.sequences;
         let has_failed = failed > 0 || sequences.failed > 0 || !exploration.failed_regressions.is_empty();
-        let undecided = exploration.undecided + sequences.undecided;
+        let undecided = exploration.undecided + sequences.undecided + undecided_count(&exploration.unjudged_regressions);
         let is_empty = exploration.scenes == 0 && exploration.regressions == 0;
         let verdict = match (has_failed, undecided > 0 || exploration.is_interrupted || is_empty) {
             (true, _) => Verdict::Fail,
@@ -164,6 +168,7 @@ impl ExploreReport {
                 .collect(),
             regressions: exploration.regressions,
             failed_regressions: exploration.failed_regressions.clone(),
+            unjudged_regressions: exploration.unjudged_regressions.clone(),
             violations: Vec::new(),
             coverage: CoverageReport {
                 ranges: coverage.ranges().cloned().collect(),
@@ -208,7 +213,13 @@ impl ExploreReport {
                 "{undecided} of {scenes} scenes and {} of {} sequences are undecided, because of the rig",
                 sequences.undecided, sequences.played
             ),
-            Verdict::Inconclusive => format!("{undecided} of {scenes} scenes are undecided, because of the rig"),
+            Verdict::Inconclusive if *undecided > 0 => {
+                format!("{undecided} of {scenes} scenes are undecided, because of the rig")
+            }
+            Verdict::Inconclusive => format!(
+                "{} scenarios of earlier explorations are undecided, because of the rig",
+                undecided_count(&self.unjudged_regressions)
+            ),
             Verdict::Pass => {
                 format!("no property was violated in {scenes} scenes and {} sequences of messages", sequences.played)
             }
@@ -279,6 +290,10 @@ pub fn violated_properties(exploration: &Exploration) -> Vec<(Property, &FailedS
     violated.into_iter().map(|(property, (_, scene))| (property, scene)).collect()
 }
 
+fn undecided_count(regressions: &[UnjudgedRegression]) -> u64 {
+    regressions.iter().filter(|regression| regression.is_undecided).count() as u64
+}
+
 /// Name of the page in the run folder.
 pub const PAGE_FILE: &str = "report.html";
 
@@ -297,6 +312,10 @@ pub fn document(report: &ExploreReport) -> Document {
     failures.extend(report.failed_regressions.iter().map(|FailedRegression { file, properties }| {
         let properties: Vec<_> = properties.iter().map(|property| property.name()).collect();
         format!("{file} (a scenario of an earlier exploration) still violates: {}", properties.join(", "))
+    }));
+    failures.extend(report.unjudged_regressions.iter().map(|UnjudgedRegression { file, reason, is_undecided }| {
+        let outcome = if *is_undecided { "undecided" } else { "not applicable" };
+        format!("{file} (a scenario of an earlier exploration): {outcome}: {reason}")
     }));
     for violation in &report.violations {
         let [value, limit] = [violation.minimal_value, violation.minimal_limit].map(|value| format_value(value, 6));

@@ -4,7 +4,7 @@
 use crate::explore::envelope::Envelope;
 #[cfg(feature = "firmware-analysis")]
 use crate::explore::exploration::explore_and_record;
-use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, explore};
+use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, Regression, explore};
 use crate::explore::limits::{ExploredLaw, LawProperties, OwnLaw};
 use crate::explore::own_law::measure_own_law;
 use crate::explore::player::{ExploreError, Player, SceneFailure};
@@ -16,11 +16,10 @@ use crate::explore::sequence::SequenceLimits;
 use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
 #[cfg(feature = "firmware-analysis")]
 use crate::firmware_analysis::suite::read_code;
-use platebench_engine::SafeEnds;
+use platebench_engine::{SafeEnds, law, why_not_applicable};
 use platebench_engine::plan::LinkFactory;
 use platebench_model::scenario::{OWN_LAW, Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
-use platebench_plate::Time;
 use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigSpec, Session};
 #[cfg(feature = "firmware-analysis")]
 use platebench_rig::{Capability, ConnectError, EmulatedLink};
@@ -100,8 +99,8 @@ impl ExploreSession {
             ConnectOptions { reply_timeout: self.reply_timeout, cancel: cancel.clone(), ..ConnectOptions::default() };
         let connect = || self.rig.connect_with(&options);
         let ends = SafeEnds::default();
-        let (identity, kind) = identify(&connect, &ends, cancel)?;
-        let mut config = self.config(&identity)?;
+        let (identity, kind, regressions) = self.identify(&connect, &ends, cancel)?;
+        let mut config = self.config(&identity, regressions)?;
         if let Some(sequences) = &mut config.sequences {
             sequences.starts_controllers = !kind.loses_bytes();
         }
@@ -158,17 +157,31 @@ impl ExploreSession {
         Ok((report, stop))
     }
 
-    fn config(&self, identity: &Identity) -> Result<ExploreConfig, ExploreError> {
+    /// Returns the identity, the kind of the link, and the scenarios of earlier explorations with
+    /// the reason if they do not apply.
+    fn identify(
+        &self,
+        connect: &LinkFactory<'_>,
+        ends: &SafeEnds,
+        cancel: &CancelToken,
+    ) -> Result<(Identity, LinkKind, Vec<Regression>), ExploreError> {
+        let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
+        let identity = *session.identity();
+        let kind = session.link().kind();
+        let regressions = self.regressions.iter().map(|scenario| {
+            let law = law(scenario).map_err(Box::new).map_err(ExploreError::Generated)?;
+            let not_applicable =
+                why_not_applicable(scenario, law, true, &mut session).map_err(ExploreError::Generated)?;
+            Ok::<_, ExploreError>(Regression { scenario: scenario.clone(), not_applicable })
+        });
+        let regressions: Result<Vec<_>, _> = regressions.collect();
+        ends.record(session.close());
+        Ok((identity, kind, regressions?))
+    }
+
+    fn config(&self, identity: &Identity, regressions: Vec<Regression>) -> Result<ExploreConfig, ExploreError> {
         let law = self.explored_law(identity)?;
         let laws = LawProperties::explored_laws().filter(|other| identity.has_law(*other) && !law.is_own());
-        let knows_delay = identity.has_capability(capabilities::LOOP_DELAY);
-        let announced = |scenario: &Scenario| {
-            let has_law = match LawId::from_name(&scenario.controller.law) {
-                Some(law) => identity.has_law(law),
-                None => law.is_own(),
-            };
-            has_law && (knows_delay || scenario.controller.design_delay == Time::ZERO)
-        };
         let sequences = SequenceLimits::new(
             identity,
             self.rig.has_own_clock(),
@@ -186,7 +199,7 @@ impl ExploreSession {
             own_clock: self.rig.has_own_clock(),
             compares_reference: self.compares_reference,
             sequences: Some(SequenceLimits { is_own_law: law.is_own(), ..sequences }),
-            regressions: self.regressions.iter().filter(|scenario| announced(scenario)).cloned().collect(),
+            regressions,
             is_guided: true,
             branch_outcomes: branch_outcomes(&self.rig)?,
         })
@@ -374,19 +387,6 @@ fn envelope_for(envelope: &Envelope, identity: &Identity) -> Envelope {
     reduced
 }
 
-/// Returns the identity and the kind of the link.
-fn identify(
-    connect: &LinkFactory<'_>,
-    ends: &SafeEnds,
-    cancel: &CancelToken,
-) -> Result<(Identity, LinkKind), ExploreError> {
-    let session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
-    let identity = *session.identity();
-    let kind = session.link().kind();
-    ends.record(session.close());
-    Ok((identity, kind))
-}
-
 /// The first sequences with different differences, at most three.
 fn distinct_sequences(failed: &[FailedSequence]) -> Vec<&FailedSequence> {
     let kind = |sequence: &FailedSequence| -> String {
@@ -456,8 +456,7 @@ mod tests {
     fn a_controller_without_the_capability_gets_no_loop_delay() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
         let envelope = Envelope::load(&path).unwrap();
-        let (identity, ..) =
-            identify(&|| RigSpec::hosted().connect(), &SafeEnds::default(), &CancelToken::never()).unwrap();
+        let identity = *Session::open(FaultInjector::new(RigSpec::hosted().connect().unwrap())).unwrap().identity();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };
         assert!(envelope.range.loop_delay_periods[1] > 0.0);

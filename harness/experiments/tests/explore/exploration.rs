@@ -9,11 +9,13 @@ use platebench_experiments::explore::shrink::Shrinker;
 use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, ExploreError, Player, Property, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
+use platebench_model::scenario::{Scenario, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
 use platebench_wire::{LawId, Message};
 use rstest::rstest;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::fs;
 use std::time::Duration;
 
 /// Long enough that a search ends by its number of replays, also on a busy machine.
@@ -126,15 +128,11 @@ fn scenes_before_a_lost_rig_are_kept() {
     assert!(explore(&config, &connect, &CancelToken::never(), &SafeEnds::default(), &mut |_, _| {}).is_err());
 }
 
-#[test]
-fn an_interrupted_exploration_writes_its_result() {
+fn session(budget: ExplorationBudget, regressions: Vec<Scenario>) -> ExploreSession {
     let ExploreConfig { envelope, seed, jobs, .. } = configuration(LawId::DqPi, 1);
-    let budget = ExplorationBudget::Scenes(u64::MAX / 4);
-    let (regressions, regression_folder) = (Vec::new(), PathBuf::from("none"));
-    let rig = RigSpec::hosted();
-    let session = ExploreSession {
+    ExploreSession {
         envelope,
-        rig,
+        rig: RigSpec::hosted(),
         reply_timeout: Duration::from_millis(500),
         law: None,
         seed,
@@ -142,8 +140,13 @@ fn an_interrupted_exploration_writes_its_result() {
         jobs,
         compares_reference: false,
         regressions,
-        regression_folder,
-    };
+        regression_folder: PathBuf::from("none"),
+    }
+}
+
+#[test]
+fn an_interrupted_exploration_writes_its_result() {
+    let session = session(ExplorationBudget::Scenes(u64::MAX / 4), Vec::new());
     let folder = tempfile::tempdir().unwrap();
     let cancel = CancelToken::default();
     let (report, _) = session.run(&cancel, folder.path(), &mut |_| cancel.cancel()).unwrap();
@@ -151,6 +154,21 @@ fn an_interrupted_exploration_writes_its_result() {
     assert_eq!(report.verdict, Verdict::Inconclusive);
     assert!(report.conclusion().ends_with("A signal ended the exploration."), "{}", report.conclusion());
     assert!(folder.path().join("explore.json").exists() && folder.path().join("report.html").exists());
+}
+
+#[test]
+fn a_regression_that_does_not_apply_is_in_the_report() {
+    let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
+    let regressions = ["chip/random-flip.toml", "paper/fig13-closed-loop.toml"]
+        .map(|file| load(&scenarios.join(file), file).unwrap());
+    let session = session(ExplorationBudget::Scenes(1), regressions.to_vec());
+    let folder = tempfile::tempdir().unwrap();
+    let (report, _) = session.run(&CancelToken::never(), folder.path(), &mut |_| {}).unwrap();
+    assert_eq!((report.verdict, report.regressions), (Verdict::Pass, 1), "{report:?}");
+    let [unjudged] = &report.unjudged_regressions[..] else { panic!("{:?}", report.unjudged_regressions) };
+    assert!(unjudged.file == "chip/random-flip.toml" && !unjudged.is_undecided, "{unjudged:?}");
+    let page = fs::read_to_string(folder.path().join("report.html")).unwrap();
+    assert!(page.contains("chip/random-flip.toml (a scenario of an earlier exploration): not applicable"), "{page}");
 }
 
 struct Unmutated;
