@@ -12,14 +12,16 @@ use platebench_experiments::campaign::{
     Campaign, CampaignError, CampaignPlan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, TrialEvent, confirm,
     lock_folder, merge, part_name, play_shard, play_worst, report, shards_of_run, status, worst_trials,
 };
+use platebench_experiments::campaign::comparison::{COMPARISON_PAGE, LabelledFolder, compare};
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
-use platebench_model::quoted_path;
+use platebench_model::{quoted, quoted_path};
 use platebench_model::record::FileLock;
 use platebench_model::trace::{AtPath, create_folder};
-use platebench_rig::{CancelToken, RigSpec};
+use platebench_rig::{CancelToken, RigSpec, SpecError};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::str::FromStr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -27,6 +29,7 @@ use std::time::{Duration, Instant};
 #[command(after_help = "\
 Examples:
   platebench campaign run scenarios/campaigns/laws.toml --out C
+  platebench campaign run my.toml --out C --rig own='exec:./controller {port}' --rig reference=hosted
   platebench campaign plan my.toml --out C --shards 64
   platebench campaign play C --shard 7             on any machine that sees C
   platebench campaign submit C --on slurm          prints the commands of an array
@@ -56,6 +59,8 @@ enum CampaignCommand {
     Submit(SubmitArgs),
     /// Show which shards are complete
     Status(FolderArgs),
+    /// Compare controllers that played the same campaign, trial by trial
+    Compare(CompareArgs),
 }
 
 #[derive(Debug, Args)]
@@ -68,10 +73,50 @@ struct RunArgs {
     /// Trials that are played at once; default: one per core
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
-    #[arg(long, help = rig_help(), default_value = "hosted", conflicts_with = "board")]
-    rig: RigSpec,
+    #[arg(long, help = rig_help(), long_help = several_rigs_help(), default_value = "hosted", conflicts_with = "board")]
+    rig: Vec<LabelledRig>,
     #[command(flatten)]
     board: BoardArgs,
+    /// Format of standard output
+    #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
+    format: OutputFormat,
+}
+
+fn several_rigs_help() -> String {
+    format!(
+        "{}\nSeveral rigs with labels (--rig own=RIG --rig reference=RIG) play the same trials, each into the folder \
+         of its label. Each is then compared with the last",
+        rig_help()
+    )
+}
+
+#[derive(Debug, Clone)]
+struct LabelledRig {
+    label: Option<String>,
+    rig: RigSpec,
+}
+
+impl FromStr for LabelledRig {
+    type Err = SpecError;
+
+    /// A label is the name of a folder. It contains no colon, so a `=` in a command starts none.
+    fn from_str(text: &str) -> Result<Self, SpecError> {
+        let is_label = |label: &str| {
+            label.starts_with(|first: char| first.is_ascii_alphanumeric())
+                && label.chars().all(|letter| letter.is_ascii_alphanumeric() || "-_".contains(letter))
+        };
+        Ok(match text.split_once('=').filter(|(label, _)| is_label(label)) {
+            Some((label, rig)) => Self { label: Some(label.to_owned()), rig: rig.parse()? },
+            None => Self { label: None, rig: text.parse()? },
+        })
+    }
+}
+
+#[derive(Debug, Args)]
+struct CompareArgs {
+    /// Campaign folders; each is compared with the last one
+    #[arg(required = true, num_args = 2..)]
+    folders: Vec<PathBuf>,
     /// Format of standard output
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     format: OutputFormat,
@@ -158,6 +203,13 @@ pub(crate) fn campaign(arguments: &CampaignArgs, quiet: bool) -> CommandResult {
         CampaignCommand::Merge(arguments) => merge_folder(&arguments.folder, arguments.jobs, quiet, arguments.format),
         CampaignCommand::Submit(arguments) => submit(arguments, quiet),
         CampaignCommand::Status(arguments) => show_status(&arguments.folder),
+        CampaignCommand::Compare(arguments) => {
+            let labels: Vec<String> = arguments.folders.iter().map(|folder| folder.display().to_string()).collect();
+            let folders = labels.iter().zip(&arguments.folders).map(|(label, folder)| LabelledFolder { label, folder });
+            let comparison = compare(&folders.collect::<Vec<_>>())?;
+            stdio::show_result(arguments.format, &comparison, &comparison.document());
+            Ok(Exit::Passed)
+        }
     }
 }
 
@@ -181,15 +233,69 @@ fn plan(
 }
 
 fn run(arguments: &RunArgs, quiet: bool) -> CommandResult {
+    if let [LabelledRig { label: None, rig }] = &arguments.rig[..] {
+        let rig = arguments.board.find_rig()?.unwrap_or_else(|| rig.clone());
+        return run_on_rig(arguments, &arguments.out, &rig, quiet, Some(arguments.format));
+    }
+    let rigs = distinct_labels(&arguments.rig)?;
+    if CampaignPlan::exists(&arguments.out) {
+        return Err(CampaignError::OtherPlan(arguments.out.clone()).into());
+    }
+    let folders: Vec<_> = rigs.iter().map(|(label, _)| arguments.out.join(label)).collect();
+    let mut exit = Exit::Passed;
+    for ((label, rig), folder) in rigs.iter().zip(&folders) {
+        stdio::note(&format!("{label}: rig {}", quoted(&rig.to_string())));
+        // Standard output contains one JSON document, the comparison.
+        let format = (arguments.format == OutputFormat::Human).then_some(OutputFormat::Human);
+        exit = exit.worst(run_on_rig(arguments, folder, rig, quiet, format)?);
+    }
+    let labelled = rigs.iter().zip(&folders).map(|((label, _), folder)| LabelledFolder { label, folder });
+    let comparison = compare(&labelled.collect::<Vec<_>>())?;
+    let document = comparison.write(&arguments.out)?;
+    if !exit.is_hidden(quiet, arguments.format) {
+        stdio::show_result(arguments.format, &comparison, &document);
+        stdio::note(&format!("comparison: {}", quoted_path(&arguments.out.join(COMPARISON_PAGE))));
+    }
+    Ok(exit)
+}
+
+/// Fails unless there are several rigs and each has a label of its own.
+fn distinct_labels(rigs: &[LabelledRig]) -> Result<Vec<(&str, &RigSpec)>, Failure> {
+    let mut labelled: Vec<(&str, &RigSpec)> = Vec::new();
+    for LabelledRig { label, rig } in rigs {
+        let problem = match label {
+            None => format!("--rig {rig} has no label"),
+            Some(label) if labelled.iter().any(|(known, _)| known == label) => format!("--rig {label}=… occurs twice"),
+            Some(label) => {
+                labelled.push((label, rig));
+                continue;
+            }
+        };
+        let message = format!("{problem}, expected one label per rig: --rig own=RIG --rig reference=RIG");
+        return Err(Failure::invalid(&message));
+    }
+    if labelled.len() < 2 {
+        return Err(Failure::invalid(&"one --rig with a label, expected two or more, or one without a label"));
+    }
+    Ok(labelled)
+}
+
+/// Plays, merges and shows one campaign; shows nothing without a format.
+fn run_on_rig(
+    arguments: &RunArgs,
+    folder: &Path,
+    rig: &RigSpec,
+    quiet: bool,
+    format: Option<OutputFormat>,
+) -> CommandResult {
     let campaign = Arc::new(Campaign::load(&arguments.file)?);
-    let rig = arguments.board.find_rig()?.unwrap_or_else(|| arguments.rig.clone());
-    let planned = CampaignPlan::exists(&arguments.out).then(|| CampaignPlan::read(&arguments.out)).transpose()?;
+    let planned = CampaignPlan::exists(folder).then(|| CampaignPlan::read(folder)).transpose()?;
     let shards = planned.map_or_else(|| shards_of_run(&campaign), |plan| plan.shards);
-    let (plan, _lock) = plan(&campaign, &arguments.out, &rig, shards)?;
+    let (plan, _lock) = plan(&campaign, folder, rig, shards)?;
     let shards = (1..=plan.shards).collect();
     let context = (plan.clone(), Arc::clone(&campaign));
-    play_on_board(&arguments.board, &arguments.out, context, shards, &rig, arguments.jobs, quiet)?;
-    merge_and_show(&arguments.out, (plan, campaign), Ok(()), arguments.jobs, quiet, arguments.format)
+    play_on_board(&arguments.board, folder, context, shards, rig, arguments.jobs, quiet)?;
+    merge_and_show(folder, (plan, campaign), Ok(()), arguments.jobs, quiet, format)
 }
 
 fn play_one(arguments: &PlayArgs, quiet: bool) -> CommandResult {
@@ -250,7 +356,7 @@ fn merge_folder(folder: &Path, jobs: Option<u16>, quiet: bool, format: OutputFor
     let rig = plan_rig(&plan, folder)?;
     // Other machines may have played the shards. Only the worst trials need the planned bench here.
     let bench = if rig.is_simulated() { plan.check_bench(&rig) } else { Ok(()) };
-    merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, format)
+    merge_and_show(folder, (plan, Arc::new(campaign)), bench, jobs, quiet, Some(format))
 }
 
 fn plan_rig(plan: &CampaignPlan, folder: &Path) -> Result<RigSpec, CampaignError> {
@@ -265,7 +371,7 @@ fn merge_and_show(
     bench: Result<(), CampaignError>,
     jobs: Option<u16>,
     quiet: bool,
-    format: OutputFormat,
+    format: Option<OutputFormat>,
 ) -> CommandResult {
     let mut agreement = None;
     if campaign.confirm.is_some() {
@@ -302,7 +408,7 @@ fn merge_and_show(
     };
     // The result of a map, which has no verdict, is its table.
     let can_pass = summary.verdict().is_some();
-    if !exit.is_hidden(quiet && can_pass, format) {
+    if let Some(format) = format.filter(|format| !exit.is_hidden(quiet && can_pass, *format)) {
         stdio::show_result(format, &summary.result(), &document);
         stdio::note(&format!("report: {}", quoted_path(&folder.join(report::REPORT_FILE))));
     }

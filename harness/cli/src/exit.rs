@@ -58,6 +58,20 @@ impl Exit {
         }
     }
 
+    /// The exit of a command with two results.
+    pub(crate) fn worst(self, other: Self) -> Self {
+        let severity = |exit| match exit {
+            Self::Passed => 0,
+            Self::NothingToRun => 1,
+            Self::Inconclusive => 2,
+            Self::Failed => 3,
+            Self::Unreachable => 4,
+            Self::Invalid => 5,
+            Self::Signal(_) => 6,
+        };
+        if severity(other) > severity(self) { other } else { self }
+    }
+
     /// The sign before the verdict in every text.
     fn sign(self) -> &'static str {
         sign(match self {

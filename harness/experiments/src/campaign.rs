@@ -4,10 +4,12 @@
 //! A [campaign](definition) file names the scenario, its varied values and the number of trials.
 //! [`draw`] computes the values of trial i. A [`plan`] divides the trials into shards, which
 //! several machines can play, and [`submission`] writes the commands for a job scheduler. Each
-//! shard writes its results to a file, the part, and [`merge`] joins the parts. With the methods
+//! shard writes its results to a file, the part, and [`merge`] joins the parts. A [`comparison`]
+//! pairs the trials of controllers that played the same campaign. With the methods
 //! `search` and `rare`, trials form chains, in which a trial depends on earlier results.
 
 mod bench_error;
+pub mod comparison;
 pub mod confirm;
 pub mod definition;
 pub mod distribution;

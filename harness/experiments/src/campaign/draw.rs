@@ -12,6 +12,7 @@ use platebench_model::scenario::{Diagnostic, Scenario};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution as _, Open01};
+use serde_json::{Value, json};
 use std::ops::Range;
 
 const MAX_REDRAWS: u32 = 100;
@@ -144,6 +145,28 @@ impl Campaign {
             Some(list) => cell * list.len() + *value as usize,
             None => cell,
         })
+    }
+
+    /// Returns each variable with listed values, and the index of its value in the cell.
+    pub fn cell_choices(&self, cell: usize) -> Vec<(&Variable, usize)> {
+        let mut place = cell;
+        let mut choices = Vec::new();
+        for variable in self.variables.iter().rev() {
+            if let Some(list) = variable.distribution.choices() {
+                choices.push((variable, place % list.len()));
+                place /= list.len();
+            }
+        }
+        choices.reverse();
+        choices
+    }
+
+    /// Listed values of the cell by their keys.
+    pub(crate) fn cell_values(&self, cell: usize) -> Value {
+        let choices = self.cell_choices(cell).into_iter();
+        let values =
+            choices.map(|(variable, choice)| (variable.key.clone(), json!(variable.distribution.value(choice as f64))));
+        Value::Object(values.collect())
     }
 
     fn sobol(&self, trial: u64, dimension: usize) -> f64 {

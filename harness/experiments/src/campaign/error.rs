@@ -63,6 +63,18 @@ pub enum CampaignError {
     InUse(PathBuf),
     #[error("{}: another process plays shard {shard}; wait for its end, or play another shard", folder.display())]
     ShardInUse { folder: PathBuf, shard: u32 },
+    #[error("{}: shard {shard} is missing; play it, then compare", folder.display())]
+    MissingShard { folder: PathBuf, shard: u32 },
+    #[error("{0} campaign folders, expected two or more: those of the controllers, and last that of the reference")]
+    NothingToCompare(usize),
+    #[error(
+        "{}: the methods search and rare choose trials by earlier results, so trials of two controllers differ; \
+         expected grid, random or sobol",
+        .0.display()
+    )]
+    DependentTrials(PathBuf),
+    #[error("{}: its campaign, scenario or plate file differs from that of {}", path.display(), reference.display())]
+    OtherInputs { path: PathBuf, reference: PathBuf },
     #[error("shard {shard} is not in the plan, expected 1 to {shards}")]
     NoShard { shard: u32, shards: u32 },
     #[error("trial {trial} cannot be played with the values {values}: {fault}")]

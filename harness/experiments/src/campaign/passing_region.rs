@@ -76,7 +76,7 @@ impl PassingRegion {
             return None;
         }
         for (number, cell) in summary.cells.iter().enumerate().filter(|(_, cell)| !cell.is_not_applicable()) {
-            let choices = summary.cell_choices(number);
+            let choices = summary.campaign.cell_choices(number);
             let passes = cell.passes(summary.campaign.at_most) == Some(true);
             let other = |axes: &[&str]| -> Vec<CellChoice<'_>> {
                 choices.iter().filter(|(variable, _)| !axes.contains(&&*variable.key)).copied().collect()

@@ -65,6 +65,12 @@ impl CampaignPlan {
         &self.firmware
     }
 
+    /// True if both campaigns have the same file, scenario and plate, so that their trials have the
+    /// same values and seeds.
+    pub(crate) fn has_inputs_of(&self, other: &Self) -> bool {
+        self.inputs.iter().map(|input| &input.sha256).eq(other.inputs.iter().map(|input| &input.sha256))
+    }
+
     /// `folder` is the campaign folder, which need not exist.
     pub fn new(campaign: &Campaign, folder: &Path, rig: &RigSpec, shards: u32) -> Result<Self, CampaignError> {
         let relative = |path: &Path| relative_path(path, folder).at(path);

@@ -194,7 +194,7 @@ impl Layout<'_> {
                 |variable: &Variable| std::ptr::eq(variable, self.x),
                 |variable: &Variable| self.y.is_some_and(|y| std::ptr::eq(variable, y)),
             );
-            let choices = summary.cell_choices(number);
+            let choices = summary.campaign.cell_choices(number);
             let choice = |is_axis: &dyn Fn(&Variable) -> bool| {
                 choices.iter().find(|(variable, _)| is_axis(variable)).map_or(0, |(_, choice)| *choice)
             };
@@ -239,6 +239,6 @@ impl Places {
 }
 
 fn choice_texts(summary: &Summary<'_>, cell: usize, is_selected: impl Fn(&Variable) -> bool) -> Vec<String> {
-    let choices = summary.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
+    let choices = summary.campaign.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
     choices.map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(choice as f64))).collect()
 }

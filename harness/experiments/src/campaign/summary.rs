@@ -2,7 +2,6 @@
 
 use crate::campaign::confirm::Agreement;
 use crate::campaign::definition::{Campaign, Method};
-use crate::campaign::distribution::Variable;
 use crate::campaign::passing_region::PassingRegion;
 use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
@@ -13,7 +12,7 @@ use platebench_model::quoted;
 use platebench_model::record::{Cause, Verdict};
 use schemars::JsonSchema;
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::fmt::Write as _;
 
 pub const SUMMARY_FILE: &str = "summary.json";
@@ -309,7 +308,7 @@ impl<'a> Summary<'a> {
         let cells = self.cells.iter().enumerate().map(|(number, cell)| {
             let smallest_margin = Some(cell.smallest_margin).filter(|margin| margin.is_finite());
             let worst = WorstTrial { smallest_margin, worst_trial: cell.worst_trial };
-            let values = Some(self.cell_values(number));
+            let values = Some(campaign.cell_values(number));
             TallyResult { values, worst: (cell.trials > 0).then_some(worst), ..tally(cell) }
         });
         let is_sample = campaign.chain_trials() == 1;
@@ -339,27 +338,6 @@ impl<'a> Summary<'a> {
             sample: is_sample.then(|| self.sample.result(campaign)),
             sequential: is_sample.then(decision),
         }
-    }
-
-    /// Returns each variable with listed values, and the index of its value in the cell.
-    pub fn cell_choices(&self, cell: usize) -> Vec<(&Variable, usize)> {
-        let mut place = cell;
-        let mut choices = Vec::new();
-        for variable in self.campaign.variables.iter().rev() {
-            if let Some(list) = variable.distribution.choices() {
-                choices.push((variable, place % list.len()));
-                place /= list.len();
-            }
-        }
-        choices.reverse();
-        choices
-    }
-
-    fn cell_values(&self, cell: usize) -> Value {
-        let values = self.cell_choices(cell).into_iter();
-        let values =
-            values.map(|(variable, choice)| (variable.key.clone(), json!(variable.distribution.value(choice as f64))));
-        Value::Object(values.collect())
     }
 
     /// Sentences about the trials, for people.
