@@ -7,6 +7,7 @@ use clap::{Arg, Command};
 use platebench_model::metrics::TrialRule;
 use platebench_model::scenario::{ChangingProfile, Metric};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
 
@@ -15,13 +16,21 @@ const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it 
 #[test]
 fn the_command_reference_matches_the_program() {
     let mut page = format!(
-        "{HEAD}# Commands\n\nThe output of `--help` for every command. The \
-                            options of the first block apply to all commands.\n"
+        "{HEAD}# Commands\n\nThe output of `--help` for every command. The options of the first block apply to all \
+         commands.\nAn option that several commands have is printed for the first of them; the others name it.\n"
     );
     let mut program = without_environment(platebench_cli::command()).color(clap::ColorChoice::Never).term_width(100);
     program.build();
-    append_command(&mut program, "platebench", &mut page);
+    append_command(&mut program, "platebench", &mut BTreeMap::new(), &mut page);
     check_or_update("docs/reference-commands.md", &page);
+}
+
+#[test]
+fn the_short_help_of_run_has_at_most_30_lines() {
+    let mut program = without_environment(platebench_cli::command()).term_width(100);
+    program.build();
+    let help = program.find_subcommand_mut("run").unwrap().render_help().to_string();
+    assert!(help.lines().count() <= 30, "{help}");
 }
 
 /// Hides values of environment variables, because they differ between machines.
@@ -29,17 +38,41 @@ fn without_environment(command: Command) -> Command {
     command.mut_args(|argument| argument.hide_env_values(true)).mut_subcommands(without_environment)
 }
 
-fn append_command(command: &mut Command, name: &str, page: &mut String) {
+/// Appends the help of `command` and of the commands below it. `printed` has the first command of each option.
+fn append_command(command: &mut Command, name: &str, printed: &mut BTreeMap<String, String>, page: &mut String) {
+    let mut repeated: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let hide_repeated = |argument: Arg| match (printed.get(&description_of(&argument)), argument.get_long()) {
+        (Some(first), Some(long)) if !argument.is_hide_set() => {
+            repeated.entry(first.clone()).or_default().push(format!("`--{long}`"));
+            argument.hide(true)
+        }
+        _ => argument,
+    };
+    *command = std::mem::take(command).mut_args(hide_repeated);
     let help = command.render_long_help().to_string();
     let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
     write!(page, "\n## {name}\n\n```text\n{}\n```\n", lines.join("\n").trim_end()).unwrap();
+    for (first, options) in repeated {
+        let anchor = first.replace(' ', "-");
+        writeln!(page, "\nAs for [{first}](#{anchor}): {}.", options.join(", ")).unwrap();
+    }
+    for argument in command.get_arguments().filter(|argument| !argument.is_positional() && !argument.is_hide_set()) {
+        printed.entry(description_of(argument)).or_insert_with(|| name.to_owned());
+    }
     for below in command.get_subcommands_mut().filter(|below| below.get_name() != "help" && !below.is_hide_set()) {
         let name = format!("{name} {}", below.get_name());
         let is_of_all = |argument: &Arg| argument.is_global_set() || argument.get_id() == "help";
         let hide = |argument: Arg| if is_of_all(&argument) { argument.hide(true) } else { argument };
         *below = std::mem::take(below).mut_args(hide);
-        append_command(below, &name, page);
+        append_command(below, &name, printed, page);
     }
+}
+
+/// Everything that the help says about an option.
+fn description_of(argument: &Arg) -> String {
+    let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string);
+    let values: Vec<_> = argument.get_possible_values().iter().map(|value| format!("{value:?}")).collect();
+    format!("{argument} {help:?} {:?} {values:?}", argument.get_default_values())
 }
 
 #[test]
