@@ -95,7 +95,7 @@ fn the_key_reference_matches_the_loader() {
         // A test of the program compares this file with the types of serde.
         let path = workspace_root().join(format!("scenarios/schema/{schema}.json"));
         let schema: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
-        append_keys(&schema, &schema, "", &mut page);
+        append_keys(&schema, &schema, "", &mut BTreeMap::new(), &mut page);
     }
     check_or_update("docs/reference-keys.md", &page);
 }
@@ -137,24 +137,22 @@ fn metric_table() -> String {
     table
 }
 
-fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
-    if !path.is_empty() {
-        write!(page, "\n### `{path}`\n").unwrap();
-    }
-    page.push_str("\n| key | value | range | default | what |\n|---|---|---|---|---|\n");
+/// Appends the keys of `table` and of the tables below it. `printed` has the path of each list of keys.
+fn append_keys(root: &Value, table: &Value, path: &str, printed: &mut BTreeMap<String, String>, page: &mut String) {
+    let mut rows = String::new();
     let required = |key: &str| table["required"].as_array().is_some_and(|keys| keys.iter().any(|name| name == key));
     let mut below = Vec::new();
     for (key, schema) in table["properties"].as_object().unwrap() {
         let help = schema["description"].as_str().unwrap_or_else(|| panic!("`{key}` in {path} has no description"));
         let help = help.replace('\n', " ").replace('|', "\\|");
         let default = match &schema["default"] {
-            _ if required(key) => "required".to_owned(),
-            Value::Null | Value::Array(_) | Value::Object(_) => String::new(),
-            default => default.to_string().trim_matches('"').to_owned(),
+            _ if required(key) => Some("required".to_owned()),
+            Value::Null | Value::Array(_) | Value::Object(_) => None,
+            default => Some(format!("default {}", default.to_string().trim_matches('"'))),
         };
         let schema = without_placeholder(schema);
-        let range = range_of(schema);
-        writeln!(page, "| `{key}` | {} | {range} | {default} | {help} |", type_of(root, schema)).unwrap();
+        let value: Vec<_> = [Some(type_of(root, schema)), range_of(schema), default].into_iter().flatten().collect();
+        writeln!(rows, "| `{key}` | {} | {help} |", value.join(", ")).unwrap();
         let is_list = schema["type"] == "array";
         let inner = resolve(root, if is_list { &schema["items"] } else { schema });
         if inner["properties"].is_object() {
@@ -162,8 +160,17 @@ fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
             below.push((inner, if is_list { format!("[[{name}]]") } else { format!("[{name}]") }));
         }
     }
+    if let Some(first) = printed.get(&rows) {
+        write!(page, "\n`{path}` has the keys of `{first}`.\n").unwrap();
+        return;
+    }
+    if !path.is_empty() {
+        write!(page, "\n### `{path}`\n").unwrap();
+    }
+    write!(page, "\n| key | value | what |\n|---|---|---|\n{rows}").unwrap();
+    printed.insert(rows, path.to_owned());
     for (table, path) in below {
-        append_keys(root, table, &path, page);
+        append_keys(root, table, &path, printed, page);
     }
 }
 
@@ -213,7 +220,7 @@ fn type_of(root: &Value, schema: &Value) -> String {
     }
 }
 
-fn range_of(schema: &Value) -> String {
+fn range_of(schema: &Value) -> Option<String> {
     if schema["items"]["type"] == "number" || schema["items"]["type"] == "integer" {
         return range_of(&schema["items"]);
     }
@@ -222,7 +229,7 @@ fn range_of(schema: &Value) -> String {
         .map(|(low, open)| if open { format!("> {low}") } else { format!("≥ {low}") });
     let high = bound(["exclusiveMaximum", "maximum"])
         .map(|(high, open)| if open { format!("< {high}") } else { format!("≤ {high}") });
-    low.into_iter().chain(high).collect::<Vec<_>>().join(", ")
+    low.into_iter().chain(high).reduce(|low, high| format!("{low}, {high}"))
 }
 
 #[track_caller]
