@@ -6,10 +6,11 @@ use platebench_controller::StateMachine;
 use platebench_wire::{Configure, Message, Packet, Sample};
 
 const PAGE: &str = include_str!("../../../docs/wire-protocol.md");
+const VECTORS: &str = include_str!("../../../docs/examples/test-vectors.txt");
 const COLUMNS: usize = 12;
 
 fn configuration() -> Configure {
-    let body = PAGE.lines().find_map(|line| line.strip_prefix("body  13 02 ")).unwrap();
+    let body = VECTORS.lines().find_map(|line| line.strip_prefix("body  13 02 ")).unwrap();
     let mut bytes = vec![0x13, 0x02];
     bytes.extend(body.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()));
     match Packet::decode(&bytes).unwrap().message {

@@ -16,7 +16,7 @@ static void print_frame(const char *name, const uint8_t *frame, size_t length)
     printf("\n");
 }
 
-/* The values of docs/wire-protocol.md, "Test vectors". */
+/* The values of docs/examples/test-vectors.txt. */
 static void print_vectors(void)
 {
     uint8_t frame[MAX_FRAME];

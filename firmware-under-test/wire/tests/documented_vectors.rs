@@ -1,10 +1,10 @@
-//! Compares encoder and decoder with the test vectors of `docs/wire-protocol.md`.
+//! Compares encoder and decoder with the test vectors of `docs/examples/test-vectors.txt`.
 
 #![allow(clippy::unwrap_used, reason = "a panic fails the test")]
 
 use platebench_wire::{EncodedFrame, FrameReader, Packet};
 
-const PAGE: &str = include_str!("../../../docs/wire-protocol.md");
+const VECTORS: &str = include_str!("../../../docs/examples/test-vectors.txt");
 
 fn bytes(line: &str) -> Vec<u8> {
     line.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
@@ -12,7 +12,7 @@ fn bytes(line: &str) -> Vec<u8> {
 
 #[test]
 fn every_vector_encodes_and_decodes() {
-    let lines: Vec<_> = PAGE.lines().collect();
+    let lines: Vec<_> = VECTORS.lines().collect();
     let vectors: Vec<_> = lines
         .windows(2)
         .filter_map(|pair| Some((bytes(pair[0].strip_prefix("body  ")?), bytes(pair[1].strip_prefix("frame ")?))))

@@ -95,11 +95,11 @@ fn hexadecimal(bytes: &[u8], separator: &str) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().join(separator)
 }
 
-/// Returns heading and frame of each test vector in docs/wire-protocol.md.
+/// Returns description and frame of each documented test vector.
 fn documented_vectors() -> Vec<(String, Vec<u8>)> {
-    let page = std::fs::read_to_string(workspace_root().join("docs/wire-protocol.md")).unwrap();
+    let page = std::fs::read_to_string(workspace_root().join("docs/examples/test-vectors.txt")).unwrap();
     let (mut vectors, mut heading) = (Vec::new(), String::new());
-    for line in page.split_once("## Test vectors").unwrap().1.lines() {
+    for line in page.lines() {
         if let Some(frame) = line.strip_prefix("frame ") {
             let bytes = frame.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
             vectors.push((heading.clone(), bytes));

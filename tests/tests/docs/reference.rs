@@ -3,43 +3,76 @@
 //! them.
 
 use crate::page::workspace_root;
-use clap::{Arg, Command};
+use clap::Arg;
 use platebench_model::metrics::TrialRule;
 use platebench_model::scenario::{ChangingProfile, Metric};
 use serde_json::Value;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::fs;
+use std::process::Command;
 
 const HEAD: &str = "<!-- Written by `ci/reference --update`; a test compares it with the code. -->\n\n";
 
 #[test]
 fn the_command_reference_matches_the_program() {
     let mut page = format!(
-        "{HEAD}# Commands\n\nThe output of `--help` for every command. The \
-                            options of the first block apply to all commands.\n"
+        "{HEAD}# Commands\n\nThe output of `--help` for every command. The options of the first block apply to all \
+         commands.\nAn option that several commands have is printed for the first of them; the others name it.\n"
     );
     let mut program = without_environment(platebench_cli::command()).color(clap::ColorChoice::Never).term_width(100);
     program.build();
-    append_command(&mut program, "platebench", &mut page);
+    append_command(&mut program, "platebench", &mut BTreeMap::new(), &mut page);
     check_or_update("docs/reference-commands.md", &page);
 }
 
+#[test]
+fn the_short_help_of_run_has_at_most_30_lines() {
+    let output = Command::new(env!("CARGO_BIN_EXE_platebench-under-test")).args(["run", "-h"]).output().unwrap();
+    let help = String::from_utf8(output.stdout).unwrap();
+    assert!((10..=30).contains(&help.lines().count()), "{help}");
+}
+
 /// Hides values of environment variables, because they differ between machines.
-fn without_environment(command: Command) -> Command {
+fn without_environment(command: clap::Command) -> clap::Command {
     command.mut_args(|argument| argument.hide_env_values(true)).mut_subcommands(without_environment)
 }
 
-fn append_command(command: &mut Command, name: &str, page: &mut String) {
+/// Appends the help of `command` and of the commands below it. `printed` has the first command of each option.
+fn append_command(command: &mut clap::Command, name: &str, printed: &mut BTreeMap<String, String>, page: &mut String) {
+    let mut repeated: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let hide_repeated = |argument: Arg| match (printed.get(&description_of(&argument)), argument.get_long()) {
+        (Some(first), Some(long)) if !argument.is_hide_set() => {
+            repeated.entry(first.clone()).or_default().push(format!("`--{long}`"));
+            argument.hide(true)
+        }
+        _ => argument,
+    };
+    *command = std::mem::take(command).mut_args(hide_repeated);
     let help = command.render_long_help().to_string();
     let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
     write!(page, "\n## {name}\n\n```text\n{}\n```\n", lines.join("\n").trim_end()).unwrap();
+    for (first, options) in repeated {
+        let anchor = first.replace(' ', "-");
+        writeln!(page, "\nAs for [{first}](#{anchor}): {}.", options.join(", ")).unwrap();
+    }
+    for argument in command.get_arguments().filter(|argument| !argument.is_positional() && !argument.is_hide_set()) {
+        printed.entry(description_of(argument)).or_insert_with(|| name.to_owned());
+    }
     for below in command.get_subcommands_mut().filter(|below| below.get_name() != "help" && !below.is_hide_set()) {
         let name = format!("{name} {}", below.get_name());
         let is_of_all = |argument: &Arg| argument.is_global_set() || argument.get_id() == "help";
         let hide = |argument: Arg| if is_of_all(&argument) { argument.hide(true) } else { argument };
         *below = std::mem::take(below).mut_args(hide);
-        append_command(below, &name, page);
+        append_command(below, &name, printed, page);
     }
+}
+
+/// Everything that the help says about an option.
+fn description_of(argument: &Arg) -> String {
+    let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string);
+    let values: Vec<_> = argument.get_possible_values().iter().map(|value| format!("{value:?}")).collect();
+    format!("{argument} {help:?} {:?} {values:?}", argument.get_default_values())
 }
 
 #[test]
@@ -62,7 +95,7 @@ fn the_key_reference_matches_the_loader() {
         // A test of the program compares this file with the types of serde.
         let path = workspace_root().join(format!("scenarios/schema/{schema}.json"));
         let schema: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
-        append_keys(&schema, &schema, "", &mut page);
+        append_keys(&schema, &schema, "", &mut BTreeMap::new(), &mut page);
     }
     check_or_update("docs/reference-keys.md", &page);
 }
@@ -104,24 +137,22 @@ fn metric_table() -> String {
     table
 }
 
-fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
-    if !path.is_empty() {
-        write!(page, "\n### `{path}`\n").unwrap();
-    }
-    page.push_str("\n| key | value | range | default | what |\n|---|---|---|---|---|\n");
+/// Appends the keys of `table` and of the tables below it. `printed` has the path of each list of keys.
+fn append_keys(root: &Value, table: &Value, path: &str, printed: &mut BTreeMap<String, String>, page: &mut String) {
+    let mut rows = String::new();
     let required = |key: &str| table["required"].as_array().is_some_and(|keys| keys.iter().any(|name| name == key));
     let mut below = Vec::new();
     for (key, schema) in table["properties"].as_object().unwrap() {
         let help = schema["description"].as_str().unwrap_or_else(|| panic!("`{key}` in {path} has no description"));
         let help = help.replace('\n', " ").replace('|', "\\|");
         let default = match &schema["default"] {
-            _ if required(key) => "required".to_owned(),
-            Value::Null | Value::Array(_) | Value::Object(_) => String::new(),
-            default => default.to_string().trim_matches('"').to_owned(),
+            _ if required(key) => Some("required".to_owned()),
+            Value::Null | Value::Array(_) | Value::Object(_) => None,
+            default => Some(format!("default {}", default.to_string().trim_matches('"'))),
         };
         let schema = without_placeholder(schema);
-        let range = range_of(schema);
-        writeln!(page, "| `{key}` | {} | {range} | {default} | {help} |", type_of(root, schema)).unwrap();
+        let value: Vec<_> = [Some(type_of(root, schema)), range_of(schema), default].into_iter().flatten().collect();
+        writeln!(rows, "| `{key}` | {} | {help} |", value.join(", ")).unwrap();
         let is_list = schema["type"] == "array";
         let inner = resolve(root, if is_list { &schema["items"] } else { schema });
         if inner["properties"].is_object() {
@@ -129,8 +160,17 @@ fn append_keys(root: &Value, table: &Value, path: &str, page: &mut String) {
             below.push((inner, if is_list { format!("[[{name}]]") } else { format!("[{name}]") }));
         }
     }
+    if let Some(first) = printed.get(&rows) {
+        write!(page, "\n`{path}` has the keys of `{first}`.\n").unwrap();
+        return;
+    }
+    if !path.is_empty() {
+        write!(page, "\n### `{path}`\n").unwrap();
+    }
+    write!(page, "\n| key | value | what |\n|---|---|---|\n{rows}").unwrap();
+    printed.insert(rows, path.to_owned());
     for (table, path) in below {
-        append_keys(root, table, &path, page);
+        append_keys(root, table, &path, printed, page);
     }
 }
 
@@ -180,7 +220,7 @@ fn type_of(root: &Value, schema: &Value) -> String {
     }
 }
 
-fn range_of(schema: &Value) -> String {
+fn range_of(schema: &Value) -> Option<String> {
     if schema["items"]["type"] == "number" || schema["items"]["type"] == "integer" {
         return range_of(&schema["items"]);
     }
@@ -189,7 +229,7 @@ fn range_of(schema: &Value) -> String {
         .map(|(low, open)| if open { format!("> {low}") } else { format!("≥ {low}") });
     let high = bound(["exclusiveMaximum", "maximum"])
         .map(|(high, open)| if open { format!("< {high}") } else { format!("≤ {high}") });
-    low.into_iter().chain(high).collect::<Vec<_>>().join(", ")
+    low.into_iter().chain(high).reduce(|low, high| format!("{low}, {high}"))
 }
 
 #[track_caller]

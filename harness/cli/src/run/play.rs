@@ -39,7 +39,6 @@ const PLATE: &str = "Plate, clock and line";
 #[derive(Debug, Clone, Args)]
 #[command(after_help = "\
 Examples:
-  platebench run                                every scenario that plays by default
   platebench run paper/fig13-closed-loop.toml   one scenario by its name
   platebench run -k fig13 --law dq-pi-euler     names that contain a text, with another law
 More options and examples: platebench run --help")]
