@@ -57,8 +57,6 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    const HOSTILE: &str = "=1\u{1b}[2J\u{202e}\n::error::#|";
-
     #[rstest]
     #[case(markdown_cell, "=1\\u{1b}\\[2J\\u{202e} ::error::\\#\\|")]
     #[case(csv_field, "'=1\\u{1b}[2J\\u{202e}\\n::error::#|")]

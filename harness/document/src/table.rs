@@ -241,7 +241,7 @@ impl Table {
                         @if !column.unit.is_empty() { ", " span.unit { (column.unit) } }
                     } } } }
                     tbody { @for (number, row) in self.rows.iter().enumerate() {
-                        tr.changed[row.iter().any(|cell| cell.is_highlighted)] {
+                        tr class=[row.iter().any(|cell| cell.is_highlighted).then_some("changed")] {
                             @for (index, (cell, column)) in row.iter().zip(&self.columns).enumerate() {
                                 @if index == 0 { th class=[column.class()] scope="row" { (cell.html()) } }
                                 @else { td class=[column.class()] data-label=(column.label()) { (cell.html()) } }
