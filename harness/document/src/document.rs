@@ -94,7 +94,7 @@ impl Document {
             header { h1 { (self.title) } @if !self.lead.is_empty() { p.lead { (self.lead) } } }
             main { (self.body()) }
         };
-        report_page_frame(&self.title, &html! { style { (PreEscaped(STYLE)) } }, &body)
+        page_frame(&self.title, &html! { style { (PreEscaped(STYLE)) } }, &body)
     }
 
     /// The blocks as a part of a page.
@@ -321,12 +321,8 @@ fn percent_encode(svg: &str) -> String {
 /// Style of every page.
 const PAGE_STYLE: &str = include_str!("page.css");
 
-pub fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
+pub fn page_frame(title: &str, head: &Markup, body: &Markup) -> String {
     let style = format!("{}\n{}\n{PAGE_STYLE}", marks::variables(), marks::RULES);
-    page_frame(title, &style, head, body)
-}
-
-pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {

@@ -10,7 +10,7 @@ pub mod parquet;
 mod style;
 mod table;
 
-pub use document::{AreaLink, Block, ChartSection, Document, Figure, page_frame, report_page_frame, write_chart_page};
+pub use document::{AreaLink, Block, ChartSection, Document, Figure, page_frame, write_chart_page};
 pub use escape::without_formula;
 pub use format::NOTHING;
 pub use style::Style;

@@ -33,6 +33,14 @@ impl Style {
     pub fn write_wrapped(self, text: &mut String, first: &str, further: &str, sentence: &str) {
         write_wrapped_at(self.width.unwrap_or(WIDTH), text, first, further, sentence);
     }
+
+    /// One line without a terminal, so that programs find the whole line.
+    pub fn write_wrapped_on_terminals(self, text: &mut String, first: &str, further: &str, sentence: &str) {
+        match self.width {
+            Some(width) => write_wrapped_at(width, text, first, further, sentence),
+            None => text.extend([first, sentence, "\n"]),
+        }
+    }
 }
 
 pub(crate) fn write_wrapped_at(width: usize, text: &mut String, first: &str, further: &str, sentence: &str) {

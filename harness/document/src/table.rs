@@ -165,7 +165,7 @@ impl Table {
         self.styled_lines(Style::default())
     }
 
-    pub fn styled_lines(&self, style: Style) -> Vec<String> {
+    fn styled_lines(&self, style: Style) -> Vec<String> {
         let row = |row: &Vec<Cell>| -> Vec<(String, Option<Verdict>)> {
             row.iter().map(|cell| (printable(&cell.line()).into_owned(), cell.verdict)).collect()
         };
@@ -254,5 +254,28 @@ impl Table {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_shows_remarks_markup_and_highlighted_rows() {
+        let mut table = Table::new(["a", "b"]);
+        table.push([Cell::from("1"), Cell::optional(None).with_markup(html! { b { "<2>" } })]);
+        table.push([Cell { is_highlighted: true, ..Cell::from("3") }, Cell::optional(None)]);
+        table.remarks.push((0, "reason", "<why>".to_owned()));
+        let page = table.html().into_string();
+        let body = page.split_once("<tbody>").unwrap().1.split_once("</tbody>").unwrap().0;
+        assert_eq!(
+            body,
+            "<tr><th scope=\"row\">1</th><td data-label=\"b\"><b>&lt;2&gt;</b></td></tr>\
+             <tr class=\"reason\"><td colspan=\"2\"><span>&lt;why&gt;</span></td></tr>\
+             <tr class=\"changed\"><th scope=\"row\">3</th>\
+             <td data-label=\"b\"><span class=\"nothing\">–</span></td></tr>"
+        );
+        assert_eq!(table.csv(), "a,b\n1,–\n3,–\n");
     }
 }

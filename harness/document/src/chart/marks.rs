@@ -269,7 +269,7 @@ impl Drawing {
     }
 
     /// Rectangle between two opposite corners.
-    pub fn rectangle(&mut self, role: Role, corners: [Point; 2]) {
+    pub(crate) fn rectangle(&mut self, role: Role, corners: [Point; 2]) {
         let [(x0, y0), (x1, y1)] = corners.map(units);
         let (x, y, width, height) = (x0.min(x1), y0.min(y1), (x1 - x0).abs(), (y1 - y0).abs());
         self.push(&html! { rect x=(x) y=(y) width=(width) height=(height) class={ "f-" (role.name()) } {} });
@@ -568,7 +568,7 @@ pub fn variables() -> String {
 }
 
 /// Rules for the classes that occur in `body`, with values in place of variables.
-pub fn document_style(body: &str) -> String {
+fn document_style(body: &str) -> String {
     let is_needed = |rule: &&str| {
         let class = rule.strip_prefix('.').and_then(|rule| rule.split_whitespace().next());
         class.is_none_or(|class| body.contains(&format!("class=\"{class}\"")))

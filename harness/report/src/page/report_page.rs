@@ -9,7 +9,7 @@ use crate::text::history::{RunHistory, TrendPoint};
 use crate::{format, record_queries};
 use maud::{Markup, html};
 use platebench_document::chart::marks::Role;
-use platebench_document::{Cell, Column, Table, report_page_frame, verdict_badge};
+use platebench_document::{Cell, Column, Table, page_frame, verdict_badge};
 use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use platebench_model::trace::{AtPath, FileError, write_atomically};
 use platebench_verdict::golden::Baseline;
@@ -116,7 +116,7 @@ impl<'a> ReportPage<'a> {
             }
             (script::end())
         };
-        report_page_frame(&title, &script::head(), &body)
+        page_frame(&title, &script::head(), &body)
     }
 
     fn resolution(&self) -> PlotResolution {

@@ -66,15 +66,8 @@ pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
     }
 }
 
-/// Wrapped on a terminal only, so that programs find the whole line.
 fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
-    let tested = format::tested(record);
-    match style.width {
-        Some(_) => style.write_wrapped(text, "tested: ", "  ", &tested),
-        None => {
-            let _ = writeln!(text, "tested: {tested}");
-        }
-    }
+    style.write_wrapped_on_terminals(text, "tested: ", "  ", &format::tested(record));
 }
 
 fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
@@ -307,12 +300,7 @@ fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
     let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
     let note = format::bench_firmware_note(record);
     let mut line = String::new();
-    match style.width {
-        Some(_) => style.write_wrapped(&mut line, "verdict: ", "  ", &format!("{verdict}{note}")),
-        None => {
-            let _ = writeln!(line, "verdict: {verdict}{note}");
-        }
-    }
+    style.write_wrapped_on_terminals(&mut line, "verdict: ", "  ", &format!("{verdict}{note}"));
     text.push_str(&line.replacen(&verdict, &style.paint_verdict(record.verdict, &verdict), 1));
 }
 
