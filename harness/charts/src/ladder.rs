@@ -1,17 +1,16 @@
 //! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real
 //! line.
 
+use crate::loglog::{LogLogChart, LogLogSeries};
 use crate::measured_run::ChartError;
 use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
 use crate::scenes::applicable_models;
+use platebench_document::{Block, ChartSection, Document, Table};
 use platebench_engine::{Clock, Pacing, TimeBase};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::{Metric, Scenario};
 use platebench_plate::Model;
-use platebench_report::chart::{LogLogChart, LogLogSeries};
-use platebench_report::document::{Block, Document, Table};
-use platebench_report::page::ChartSection;
 use platebench_rig::{Capability, RigSpec};
 
 const FILE: &str = "ladder.csv";

@@ -2,12 +2,15 @@
 //! a law does not expect.
 
 use crate::measured_run::{ChartError, play_hosted};
+use platebench_document::chart::marks::{
+    Axis, AxisValue, Mark, Point, Role, Scale, Shape, Ticks, logarithmic_extent, round_ticks,
+};
+use platebench_document::chart::panels::{LegendEntry, Panel, PanelAxis, PanelChart, Symbol};
+use platebench_document::chart::{ScatterChart, ScatterPanel, ScatterPoint};
+use platebench_document::{Block, ChartSection, Document, Table};
 use platebench_engine::TrialResult;
 use platebench_model::scenario::{Expectation, Metric, Scenario, Window, load};
 use platebench_plate::{Model, Profile, Time};
-use platebench_report::chart::{MultiplesChart, MultiplesPoint, ScatterChart, ScatterPanel, ScatterPoint};
-use platebench_report::document::{Block, Document, Table};
-use platebench_report::page::ChartSection;
 use platebench_verdict::statistics::SampleSummary;
 use platebench_verdict::{Measure, metrics};
 use platebench_wire::LawId;
@@ -28,7 +31,7 @@ pub fn build_chart(scenes: &[LawScenario]) -> Result<ChartSection, ChartError> {
     let svg = scatter_chart(scenes, &results).svg();
     let quiet: Vec<&LawScenario> = scenes.iter().filter(|scene| !scene.is_noisy()).collect();
     let variants = measure_variants(&quiet)?;
-    let multiples = variants_svg(&quiet, &variants);
+    let multiples = variants_chart(&quiet, &variants).svg();
     let files = [(FILE, csv_table(scenes, &results).csv()), (TABLE, table.markdown()), (DRAWING, svg.clone())];
     let variant_files = [(VARIANTS_CSV, variants_csv(&quiet, &variants)), (VARIANTS_DRAWING, multiples.clone())];
     let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
@@ -128,13 +131,12 @@ fn csv_table(scenes: &[LawScenario], results: &[LawResult]) -> Table {
 }
 
 fn scatter_chart(scenes: &[LawScenario], results: &[LawResult]) -> ScatterChart {
-    let laws: Vec<LawId> = LawId::ALL.into();
     let panel = |is_noisy: bool, y_label: &str, y: &dyn Fn(&LawResult) -> Option<f64>| {
         let own: Vec<(usize, &LawScenario)> =
             scenes.iter().enumerate().filter(|(_, scene)| scene.is_noisy() == is_noisy).collect();
         let point = |result: &LawResult| {
             Some(ScatterPoint {
-                colour: laws.iter().position(|law| *law == result.law)?,
+                colour: law_number(result.law),
                 shape: own.iter().position(|(number, _)| *number == result.scenario_index)?,
                 x: result.response_ms,
                 y: y(result)?,
@@ -158,7 +160,7 @@ fn scatter_chart(scenes: &[LawScenario], results: &[LawResult]) -> ScatterChart 
     ScatterChart {
         title: "Control laws: speed and accuracy".to_owned(),
         x_label: "response time to 5 %, ms".to_owned(),
-        colours: laws.iter().map(|law| law.name().to_owned()).collect(),
+        colours: LawId::ALL.map(|law| law.name().to_owned()).into(),
         edge_label: "never within 5 %".to_owned(),
         panels: vec![
             panel(false, "static error, %", &|result| result.static_error_percent),
@@ -408,31 +410,95 @@ fn variants_csv(scenes: &[&LawScenario], results: &[VariantResult]) -> String {
     table.csv()
 }
 
-fn variants_svg(scenes: &[&LawScenario], results: &[VariantResult]) -> String {
-    let laws = LawId::ALL;
-    let panel = |scene: usize, variant: usize| {
-        let own = results.iter().filter(move |result| result.at[..2] == [scene, variant]);
-        let points = own.filter_map(|result| {
-            Some(MultiplesPoint {
-                series: laws.iter().position(|law| *law == result.law)?,
-                setting: result.at[2],
-                value: result.response_ms,
-                is_hollow: result.overshoot_percent > LARGE_OVERSHOOT_PERCENT,
-            })
-        });
-        points.collect()
+/// Width and height, CSS pixels.
+const VARIANT_PANEL: Point = (216.0, 190.0);
+const VARIANT_RADIUS: f64 = 2.6;
+
+/// A panel per scene and variant. A law that does not stay in the band is at the upper edge.
+fn variants_chart(scenes: &[&LawScenario], results: &[VariantResult]) -> PanelChart {
+    let times = logarithmic_extent(results.iter().filter_map(|result| result.response_ms));
+    let (low, high) = times.map_or((0.5, 20.0), |(low, high)| (low / 1.3, high * 1.3));
+    let never = high * 1.25;
+    // Points of different laws are side by side, so that equal values stay visible.
+    let step = 0.8 / LawId::ALL.len() as f64;
+    let point = |result: &VariantResult| {
+        let law = law_number(result.law);
+        let x = result.at[2] as f64 + 0.5 + (law as f64 - (LawId::ALL.len() as f64 - 1.0) / 2.0) * step;
+        let y = result.response_ms.filter(|ms| ms.is_finite() && *ms > 0.0).unwrap_or(never);
+        let shape = if result.overshoot_percent > LARGE_OVERSHOOT_PERCENT { Shape::Ring } else { Shape::Disc };
+        Mark::point(Role::Series(law), (x, y), shape, VARIANT_RADIUS)
     };
-    MultiplesChart {
-        title: "Control laws: loop delay, and plates that the law does not expect".to_owned(),
-        value_label: "response time to 5 %, ms".to_owned(),
-        setting_label: "loop delay in control periods".to_owned(),
-        settings: DELAYS.map(|delay| delay.to_string()).into(),
-        series: laws.iter().map(|law| law.name().to_owned()).collect(),
-        rows: scenes.iter().map(|scene| scene.name.clone()).collect(),
-        columns: VARIANTS.iter().map(|variant| variant.name.to_owned()).collect(),
-        edge_label: "never within 5 %".to_owned(),
-        hollow_label: format!("hollow: overshoot above {LARGE_OVERSHOOT_PERCENT} %"),
-        panels: (0..scenes.len()).map(|scene| (0..VARIANTS.len()).map(|at| panel(scene, at)).collect()).collect(),
+    let delays = DELAYS.map(|delay| delay.to_string());
+    let ticks = |_: &Axis| Ticks::new(round_ticks(&(low..high)), true, |value| value.to_string());
+    // The names of scene and variant are two lines, because one would be wider than the panel.
+    let panel = |at: [usize; 2], scene: &LawScenario, variant: &Variant| {
+        let points = results.iter().filter(|result| result.at[..2] == at).map(point);
+        let edge = Mark::Limit { role: Role::Mark, at: AxisValue::Y(never), text: None };
+        Panel {
+            title: scene.name.clone(),
+            x: PanelAxis::names("loop delay in control periods", &delays, usize::MAX),
+            y: PanelAxis::new(variant.name, Scale::Logarithmic, low..high * 1.5, ticks),
+            cells: Vec::new(),
+            marks: [edge].into_iter().chain(points).collect(),
+        }
+    };
+    let mut panels = Vec::new();
+    for (row, scene) in scenes.iter().enumerate() {
+        panels.extend(VARIANTS.iter().enumerate().map(|(column, variant)| panel([row, column], scene, variant)));
     }
-    .svg()
+    let hollow = format!("hollow: overshoot above {LARGE_OVERSHOOT_PERCENT} %");
+    let rest = [
+        LegendEntry::new(Symbol::Point(Role::Axis, Shape::Ring), hollow),
+        LegendEntry::new(Symbol::Line(Role::Mark), "never within 5 %"),
+    ];
+    PanelChart {
+        title: "Control laws: loop delay, and plates that the law does not expect (response time to 5 %, ms)"
+            .to_owned(),
+        has_heading: true,
+        panel_size: VARIANT_PANEL,
+        columns: VARIANTS.len(),
+        panels,
+        legend: LegendEntry::series(LawId::ALL.map(LawId::name)).chain(rest).collect(),
+    }
+}
+
+fn law_number(law: LawId) -> usize {
+    LawId::ALL.iter().position(|known| *known == law).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn svg(results: &[VariantResult]) -> String {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
+        let scenes = load_law_scenarios(&folder, true).unwrap();
+        variants_chart(&[&scenes[0]], results).svg()
+    }
+
+    fn result(law: usize, response_ms: Option<f64>) -> VariantResult {
+        VariantResult { law: LawId::ALL[law], at: [0, 0, 1], response_ms, overshoot_percent: LARGE_OVERSHOOT_PERCENT }
+    }
+
+    /// Heights of the discs of a law. The last disc is that of the legend.
+    fn heights(svg: &str, law: usize) -> Vec<i64> {
+        let circles = svg.split("<circle").filter(|part| part.contains(&format!("f-series-{law}\"")));
+        circles.map(|part| part.split("cy=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_longer_time_lies_higher_and_no_time_highest() {
+        let svg = svg(&[result(0, Some(1.0)), result(0, Some(10.0)), result(1, None)]);
+        let (times, none) = (heights(&svg, 0), heights(&svg, 1));
+        assert!(times[0] > times[1] && times[1] > none[0], "{times:?} {none:?}");
+        assert!(svg.contains(">0.4<") && svg.contains(">never within 5 %<") && svg.contains(">5<"), "{svg}");
+    }
+
+    #[test]
+    fn a_large_overshoot_is_a_ring() {
+        let large = VariantResult { overshoot_percent: LARGE_OVERSHOOT_PERCENT + 0.1, ..result(1, Some(2.0)) };
+        let svg = svg(&[large]);
+        assert!(svg.contains("s-series-1"), "{svg}");
+        assert_eq!(heights(&svg, 1).len(), 1, "only in the legend");
+    }
 }

@@ -5,6 +5,7 @@
 
 pub mod ladder;
 pub mod laws;
+mod loglog;
 mod measured_run;
 pub mod precision;
 pub mod scenes;

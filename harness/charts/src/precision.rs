@@ -5,14 +5,13 @@ use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
 use crate::integration::{
     EquationForm, IntegrationMethod, Replay, ReplaySpec, Solver, SolverStatus, SweepConfig, SweepResult, sweep,
 };
+use crate::loglog::{LogLogChart, LogLogSeries};
 use crate::measured_run::ChartError;
 use crate::measured_run::play_hosted;
+use platebench_document::{Block, ChartSection, Document, Table};
 use platebench_engine::law;
 use platebench_model::scenario::{Scenario, Spread};
 use platebench_plate::{Drive, Time};
-use platebench_report::chart::{LogLogChart, LogLogSeries};
-use platebench_report::document::{Block, Document, Table};
-use platebench_report::page::ChartSection;
 use std::f64::consts::TAU;
 use std::time::Duration;
 

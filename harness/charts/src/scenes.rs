@@ -3,12 +3,13 @@
 use crate::measured_run::ChartError;
 use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
+use platebench_document::chart::marks::{Axis, Mark, Role, Scale, Shape, Ticks, decades, format_power_of_ten};
+use platebench_document::chart::panels::{LegendEntry, Panel, PanelAxis, PanelChart, Symbol};
+use platebench_document::format::with_decimals;
+use platebench_document::{Block, ChartSection, Document, Table};
 use platebench_model::record::{ExpectationRecord, RunRecord};
 use platebench_model::scenario::{Expectation, Scenario};
 use platebench_plate::Model;
-use platebench_report::chart::{StripChart, StripRow};
-use platebench_report::document::{Block, Document, Table};
-use platebench_report::page::ChartSection;
 use platebench_rig::RigSpec;
 use std::collections::BTreeMap;
 
@@ -127,7 +128,7 @@ impl ModelResult<'_> {
 }
 
 fn section(results: &[SceneResult<'_>], costs: &[ModelCost]) -> ChartSection {
-    let svg = strip_chart(results).svg();
+    let svg = difference_chart(results).svg();
     let (models, differences) = (model_table(results, costs), difference_table(results));
     let caption = format!("{} scenarios: largest difference of a metric on every model", results.len());
     let mut blocks = vec![Block::Details(EXPLANATION.map(Block::paragraph).into())];
@@ -194,19 +195,15 @@ fn difference_table(results: &[SceneResult<'_>]) -> Table {
                     scene.scenario.name().to_owned(),
                     model.model.name().to_owned(),
                     own.name.clone(),
-                    format_value(own.value),
-                    format_value(reference.value),
-                    if difference.is_finite() { format!("{difference:.2}") } else { "–".to_owned() },
+                    with_decimals(own.value, 4),
+                    with_decimals(reference.value, 4),
+                    with_decimals(difference.is_finite().then_some(*difference), 2),
                     verdict,
                 ]);
             }
         }
     }
     table
-}
-
-fn format_value(value: Option<f64>) -> String {
-    value.map_or_else(|| "–".to_owned(), |value| format!("{value:.4}"))
 }
 
 fn full_table(results: &[SceneResult<'_>]) -> Table {
@@ -244,27 +241,76 @@ fn full_table(results: &[SceneResult<'_>]) -> Table {
     table
 }
 
-fn strip_chart(results: &[SceneResult<'_>]) -> StripChart {
-    let colour = |model: Model| Model::ALL.iter().position(|known| *known == model).unwrap_or_default();
-    let row = |scene: &SceneResult<'_>| {
-        let changed = scene.models.iter().filter(|model| model.is_changed);
-        let names: Vec<&str> = changed.map(|model| model.model.name()).collect();
-        let note = if names.is_empty() { String::new() } else { format!("verdict changes: {}", names.join(", ")) };
-        StripRow {
-            name: scene.scenario.name().to_owned(),
-            limit: Some(LISTED_DIFFERENCE),
-            values: scene.models.iter().map(|model| (colour(model.model), model.largest_difference())).collect(),
-            chosen_colour: colour(scene.scenario.model),
-            note,
-        }
+const CHART_WIDTH: f64 = 980.0;
+const LINE_HEIGHT: f64 = 16.0;
+/// Heights of title and labels of the panel.
+const MARGINS: f64 = 84.0;
+/// Ratio of the first tick to the left edge: one decade is reserved for differences of exactly 0.
+const ZERO_AREA_RATIO: f64 = 10.0;
+
+/// One line of points per scenario on one logarithmic axis, one colour per model.
+fn difference_chart(results: &[SceneResult<'_>]) -> PanelChart {
+    let differences = results.iter().flat_map(|scene| &scene.models).map(ModelResult::largest_difference);
+    let positive = differences.filter(|difference| *difference > 0.0).map(|difference| difference.max(SCALE_FLOOR));
+    let xs = decades(positive.chain([LISTED_DIFFERENCE]));
+    let left = xs.start / ZERO_AREA_RATIO;
+    // The position of 0 is in the middle of its decade.
+    let zero = left * ZERO_AREA_RATIO.sqrt();
+    let x_ticks = |axis: &Axis| {
+        let decades = axis.ticks(usize::MAX).into_iter().filter(|decade| *decade > left * 1.01);
+        let mut ticks = Ticks::new(decades.collect(), true, format_power_of_ten);
+        ticks.texts.insert(0, (zero, "0".to_owned()));
+        ticks
     };
-    StripChart {
+    let names: Vec<String> = results.iter().map(SceneResult::name_with_changes).collect();
+    let x_label = "largest difference of a metric / its tolerance";
+    let panel = Panel {
+        title: String::new(),
+        x: PanelAxis::new(x_label, Scale::Logarithmic, left..xs.end, x_ticks),
+        y: PanelAxis::names("", &names, usize::MAX).downwards(),
+        cells: Vec::new(),
+        marks: results.iter().enumerate().flat_map(|(number, scene)| scene.marks(number as f64, zero)).collect(),
+    };
+    let rest = [
+        LegendEntry::new(Symbol::Point(Role::Series(0), Shape::Ring), "ring: model of the scenario"),
+        LegendEntry::new(Symbol::Line(Role::Axis), "a tenth of the tolerance"),
+    ];
+    PanelChart {
         title: "Models of the plate against the most detailed one".to_owned(),
-        x_label: "largest difference of a metric / its tolerance".to_owned(),
-        floor: SCALE_FLOOR,
-        colours: Model::ALL.map(|model| model.name().to_owned()).into(),
-        chosen_label: "ring: model of the scenario".to_owned(),
-        limit_label: "a tenth of the tolerance".to_owned(),
-        rows: results.iter().map(row).collect(),
+        has_heading: true,
+        panel_size: (CHART_WIDTH, MARGINS + LINE_HEIGHT * results.len() as f64),
+        columns: 1,
+        panels: vec![panel],
+        legend: LegendEntry::series(Model::ALL.map(Model::name)).chain(rest).collect(),
+    }
+}
+
+impl SceneResult<'_> {
+    fn name_with_changes(&self) -> String {
+        let changed = self.models.iter().filter(|model| model.is_changed).map(|model| model.model.name());
+        match &*changed.collect::<Vec<_>>() {
+            [] => self.scenario.name().to_owned(),
+            names => format!("{} (verdict changes: {})", self.scenario.name(), names.join(", ")),
+        }
+    }
+
+    /// Marks of the line that begins at `top`. A difference of 0 lies at `zero`.
+    fn marks(&self, top: f64, zero: f64) -> Vec<Mark> {
+        let mut marks = vec![Mark::Line(Role::Axis, [0.1, 0.9].map(|y| (LISTED_DIFFERENCE, top + y)).into())];
+        // The circle of the simplest model is the smallest and is drawn last, so that circles with
+        // the same value are all visible.
+        for model in self.models.iter().rev() {
+            let colour = Model::ALL.iter().position(|known| *known == model.model).unwrap_or_default();
+            let (role, difference) = (Role::Series(colour), model.largest_difference());
+            if !difference.is_finite() {
+                continue;
+            }
+            let at = (if difference > 0.0 { difference.max(SCALE_FLOOR) } else { zero }, top + 0.5);
+            marks.push(Mark::point(role, at, Shape::Disc, 2.5 + colour as f64));
+            if model.model == self.scenario.model {
+                marks.push(Mark::point(role, at, Shape::Ring, 7.0));
+            }
+        }
+        marks
     }
 }

@@ -158,6 +158,9 @@ fn scenes_are_judged_on_every_model() {
     assert!(page.contains("CPU time per control period"), "{page}");
     let svg = fs::read_to_string(folder.path().join("new/scenes.svg")).unwrap();
     assert!(svg.contains("fig13-closed-loop"), "{}", svg.len());
+    // The legend has a ring, and each scene has one with the colour of its model: linear or modal.
+    let rings = |colour: usize| svg.matches(&format!("class=\"s-series-{colour}\"")).count();
+    assert_eq!((rings(0), rings(1), rings(2)), (2, 0, 2), "{svg}");
 }
 
 #[test]
@@ -179,6 +182,8 @@ fn scenes_show_a_verdict_that_a_wrong_model_changes() {
     assert_eq!((row[column("verdict")].as_str(), row[column("reference_verdict")].as_str()), ("fail", "pass"));
     let page = fs::read_to_string(folder.path().join("new/charts.html")).unwrap();
     assert!(page.contains("fail instead of pass"), "{page}");
+    let svg = fs::read_to_string(folder.path().join("new/scenes.svg")).unwrap();
+    assert!(svg.contains("detuned (verdict changes: linear"), "{svg}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use crate::run_plan::SessionView;
 use crate::shutdown::{EventSender, run_until_signal};
 use crate::stdio;
 use clap::{Args, Subcommand};
+use platebench_document::format::count;
 use platebench_engine::{CancelToken, Event, LiveTap, RunError, RunPlan};
 use platebench_lab::acceptance::session_record::{StepKind, StepRecord};
 use platebench_lab::acceptance::{
@@ -15,10 +16,9 @@ use platebench_lab::acceptance::{
     SessionRecord, Signer, page, play_session, verify,
 };
 use platebench_lab::boards::{BoardOutcome, Inventory, RunsBelow};
+use platebench_model::printable::printable;
 use platebench_model::quoted_path;
 use platebench_model::record::Verdict;
-use platebench_report::format::count;
-use platebench_report::text::printable;
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::RigSpec;
 use std::path::{Path, PathBuf};

@@ -4,6 +4,8 @@ use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
+use platebench_document::Document;
+use platebench_document::format::count;
 use platebench_engine::comparison::{
     BaselineAcceptError, CompareError, ScenarioTrials, build_baseline, check_acceptable, compare_with_tubes,
     read_scenario_trials,
@@ -13,8 +15,6 @@ use platebench_model::quoted;
 use platebench_model::record::{FileLock, RunRecord, ScenarioRecord, Verdict};
 use platebench_model::trace::{create_folder, missing_folders, remove_empty_folders};
 use platebench_report::comparison::{comparison_blocks, tube_plot_document};
-use platebench_report::document::Document;
-use platebench_report::format::count;
 use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -7,17 +7,20 @@ use crate::selection::warn_of_scenarios;
 use crate::shutdown::{self, EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::{Args, Subcommand, ValueEnum};
-use platebench_engine::RunError;
+use platebench_engine::{Event, RunError};
+use platebench_experiments::campaign::comparison::{COMPARISON_PAGE, LabelledFolder, compare};
+use platebench_experiments::campaign::draw::DrawnTrial;
 use platebench_experiments::campaign::{
     Campaign, CampaignError, CampaignPlan, PlayConfig, ResponseLinks, ShardEnd, ShardLock, TrialEvent, confirm,
-    lock_folder, merge, part_name, play_shard, play_worst, report, shards_of_run, status, worst_trials,
+    lock_folder, merge, part_name, play_shard, play_worst, report, response_links, shards_of_run, status, worst_trials,
 };
-use platebench_experiments::campaign::comparison::{COMPARISON_PAGE, LabelledFolder, compare};
 use platebench_experiments::campaign::{Engine, command_line, submission};
 use platebench_lab::boards::BoardOutcome;
-use platebench_model::{quoted, quoted_path};
 use platebench_model::record::FileLock;
 use platebench_model::trace::{AtPath, create_folder};
+use platebench_model::{quoted, quoted_path};
+use platebench_report::console;
+use platebench_report::page::{self, ReportPage, RowCache};
 use platebench_rig::{CancelToken, RigSpec, SpecError};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -384,7 +387,8 @@ fn merge_and_show(
     let summary = merge(folder, &plan, &campaign, agreement)?;
     let config = PlayConfig::new(plan_rig(&plan, folder)?, job_count(jobs));
     let (trials, out, played) = (worst_trials(&summary)?, folder.to_owned(), Arc::clone(&campaign));
-    let work = move |config: &PlayConfig, _: &mut EventSender<PlayEvent>| play_worst(&out, &played, &trials, config);
+    let work =
+        move |config: &PlayConfig, _: &mut EventSender<PlayEvent>| play_worst_trials(&out, &played, &trials, config);
     let links = match bench {
         Ok(()) => match run_campaign_work(config, CampaignProgress::new(0, true), work)? {
             // The folder cannot be written, for example because of a link in it.
@@ -413,6 +417,29 @@ fn merge_and_show(
         stdio::note(&format!("report: {}", quoted_path(&folder.join(report::REPORT_FILE))));
     }
     Ok(exit)
+}
+
+/// Plays the worst trials and writes the page of their run.
+fn play_worst_trials(
+    folder: &Path,
+    campaign: &Campaign,
+    trials: &[DrawnTrial],
+    config: &PlayConfig,
+) -> Result<ResponseLinks, CampaignError> {
+    let mut rows = RowCache::default();
+    let on_event = |event| {
+        if let Event::TrialFinished { trial, rows: played, .. } = event {
+            rows.add(&trial.trace, played);
+        }
+    };
+    let Some((record, run)) = play_worst(folder, campaign, trials, config, on_event)? else {
+        return Ok(ResponseLinks::new());
+    };
+    let page = ReportPage::new(&record, run.path()).with_rows(rows);
+    page.write(&run.path().join(page::FILE)).map_err(CampaignError::Page)?;
+    Ok(response_links(trials, &record, |index, scenario| {
+        (format!("{}#{}", page::FILE, page::scenario_anchor(index)), console::scenario_reason(scenario))
+    }))
 }
 
 /// Returns true if the rig counts as lost, although the shards are complete.

@@ -6,6 +6,7 @@ use crate::options::{OutputFormat, SCENARIOS};
 use crate::selection::ScenarioFilter;
 use crate::stdio;
 use clap::{Args, Command};
+use platebench_document::format::count;
 use platebench_engine::law;
 #[cfg(feature = "export")]
 use platebench_experiments::campaign::Campaign;
@@ -16,7 +17,6 @@ use platebench_model::scenario::{
     Diagnostic, FileKind, list_files, load, load_with_all_errors, read_requirements, repeated_names, scenario_warnings,
 };
 use platebench_model::trace::FileError;
-use platebench_report::format::count;
 use platebench_verdict::golden::{Baseline, BaselineError};
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use serde::Serialize;

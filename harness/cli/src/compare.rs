@@ -137,7 +137,7 @@ fn draw_worst(
     let stored = scenario.trials.iter().find(|stored| stored.index == *trial);
     let rows = stored.map(StoredTrial::rows).transpose()?;
     let Some((tube, rows)) = tube.zip(rows) else { return Ok(None) };
-    let svg = platebench_report::chart::draw_exceedance(tube, &rows, *trial, worst);
+    let svg = platebench_report::draw_exceedance(tube, &rows, *trial, worst);
     // A trace has a path as its name, and this path could lead out of `folder`.
     let name = if Path::new(&scenario.name).is_absolute() || scenario.name.contains("..") {
         Path::new(&scenario.name).file_name().map(PathBuf::from).unwrap_or_default()

@@ -2,11 +2,11 @@
 
 use crate::options::OutputFormat;
 use crate::stdio;
+use platebench_document::format::sign;
 use platebench_engine::{RejudgeError, RunError};
 use platebench_model::quoted_path;
 use platebench_model::record::{Assessment, RunOutcome, RunRecord, Verdict};
 use platebench_model::scenario::Diagnostic;
-use platebench_report::format::sign;
 use platebench_rig::{ConnectError, RigError};
 use std::fmt::Display;
 use std::path::Path;

@@ -9,15 +9,15 @@ use platebench_design::identified_plate::{
     ParameterUncertainty, PlateFileDetails, document, parameter_uncertainties, plate_file,
 };
 use platebench_design::identify::{DirectFit, Identification};
+use platebench_document::format::count;
+use platebench_document::{Block, Figure};
 use platebench_lab::boards::Board;
 use platebench_model::external_csv::{self, ColumnMapping, Dialect};
 use platebench_model::quoted_path;
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::scenario::load::parse_plate;
 use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_new};
-use platebench_report::chart::FitChart;
-use platebench_report::document::{Block, Figure};
-use platebench_report::format::count;
+use platebench_report::FitChart;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use schemars::JsonSchema;
 use serde::Serialize;

@@ -8,7 +8,6 @@ use platebench_engine::RunPlan;
 use platebench_model::record::{RunRecord, ScenarioRecord};
 use platebench_model::scenario::number_in_file;
 use platebench_model::trace::{FileError, OutputFolder};
-use platebench_report::ReportError;
 use platebench_report::github::{self, SourceLocation};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -77,7 +76,7 @@ impl Outputs {
         self.summary.as_deref().is_some_and(is_stdout)
     }
 
-    pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), ReportError> {
+    pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), FileError> {
         match &self.summary {
             Some(file) if is_stdout(file) => stdio::show(&github::render_page(record)),
             Some(file) => github::write_markdown(record, file)?,

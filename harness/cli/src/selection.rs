@@ -4,13 +4,13 @@
 use crate::exit::{Exit, Failure, OrInvalid};
 use crate::stdio;
 use clap::Args;
+use platebench_document::format::count;
 use platebench_model::quoted_path;
 use platebench_model::record::{Assessment, RunRecord, newest_run, sha256};
 use platebench_model::scenario::load::implausible_values;
 use platebench_model::scenario::{FoundScenarios, Scenario, find, plate_warnings, suggestion};
 use platebench_plate::Plate;
 use platebench_report::Detail;
-use platebench_report::format::count;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -9,6 +9,7 @@ use crate::options::{OutputFormat, SCENARIOS, job_count};
 use crate::selection::{ScenarioFilter, find_scenarios};
 use crate::stdio;
 use clap::{Args, Subcommand};
+use platebench_document::format::count;
 use platebench_experiments::explore::Envelope;
 use platebench_experiments::explore::kill_rate::{KillRateConfig, KillRateReport, kill_rate};
 use platebench_experiments::trust::report::{document, matrix};
@@ -16,7 +17,6 @@ use platebench_experiments::trust::{TrustConfig, TrustReport, catalogue, clean_v
 use platebench_model::record::Verdict;
 use platebench_model::trace::{AtPath, FileError, OutputFolder};
 use platebench_report::Detail;
-use platebench_report::format::count;
 use platebench_rig::CancelToken;
 use serde::Serialize;
 use std::io;

@@ -3,7 +3,7 @@
 
 use crate::identify::residuals::is_explained_by_chance;
 use crate::identify::{Estimate, FrequencyStep, Identification, IdentifiedHeating, RecordingFit, VoltageStep};
-use platebench_report::document::{Block, Document, Table};
+use platebench_document::{Block, Document, Table};
 use platebench_verdict::uncertainty::{Budget, CombinedUncertainty, EvaluationError, TypeA};
 use schemars::JsonSchema;
 use serde::Serialize;

@@ -8,5 +8,6 @@ pub mod law_loops;
 pub mod loops;
 pub mod margins;
 pub mod stability;
+mod stability_map;
 pub mod step_limits;
 pub mod tuning;

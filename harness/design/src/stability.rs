@@ -5,14 +5,15 @@ use crate::law_loops::{
     LoopCase, OperatingCondition, PlainLoops, loop_at_rest, measure_delay_boundary, measure_delay_boundary_from_rest,
 };
 use crate::loops::{AnalysisError, ClosedLoop, Discretisation, LoopTiming, Margins, delay_boundary};
+use crate::stability_map::draw_maps;
+pub use crate::stability_map::{RigDelay, StabilityMap};
 use crate::step_limits::{NOTE, limits_csv, limits_table, step_limits};
+use platebench_document::format::with_decimals;
+use platebench_document::{Block, ChartSection, Column, Document, NOTHING, Table};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_engine::workers::collect_in_parallel;
 use platebench_model::record::RunRecord;
 use platebench_plate::{Model, Plate, Time};
-use platebench_report::chart::{MapFigure, MapPanel, RigDelay};
-use platebench_report::document::{Block, Column, Document, Table};
-use platebench_report::page::ChartSection;
 use platebench_wire::LawId;
 use std::fmt::Write;
 
@@ -54,7 +55,7 @@ pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartS
     ));
     blocks.push(Block::lines(known_limit(&config.plate)?));
     for &law in &config.laws {
-        let Some(map) = build_map(&result, law, rig) else { continue };
+        let Some(map) = draw_maps(&result.maps, law, rig) else { continue };
         let svg = map.svg();
         files.push((format!("{}.svg", law.name()), svg.clone()));
         blocks.push(Block::Details(vec![Block::heading(law.name()), Block::figure(svg, map.title)]));
@@ -88,27 +89,6 @@ fn known_limit(plate: &Plate) -> Result<Vec<String>, AnalysisError> {
         Ok(format!("{:<10} spectral radius {radius:.2}: {outcome}", condition.name()))
     });
     lines.into_iter().collect()
-}
-
-/// One row per condition, one panel per response time. `None` for a law without a loop.
-fn build_map(study: &Study, law: LawId, rig: Option<RigDelay>) -> Option<MapFigure> {
-    let ms = |seconds: &f64| seconds * 1e3;
-    let maps: Vec<_> = study.maps.iter().filter(|map| map.law == law).collect();
-    let columns = maps.iter().filter(|map| Some(map.condition) == maps.first().map(|map| map.condition)).count();
-    let panels = maps.iter().map(|map| MapPanel {
-        title: format!("{}, response {:.3} ms", map.condition.name(), ms(&map.response)),
-        periods_ms: map.periods.iter().map(ms).collect(),
-        delays_ms: map.delays.iter().map(ms).collect(),
-        radius: map.spectral_radius.clone(),
-        settling_ms: map
-            .settling
-            .iter()
-            .map(|column| column.iter().map(|time| time.as_ref().map(ms)).collect())
-            .collect(),
-        measured: map.measured.iter().map(|(period, delay)| (ms(period), ms(delay))).collect(),
-    });
-    let title = format!("{}: settling time from rest over control period and loop delay, ms", law.name());
-    (!maps.is_empty()).then(|| MapFigure { title, panels: panels.collect(), columns, rig })
 }
 
 pub const MAX_DELAY_S: f64 = 12e-3;
@@ -155,22 +135,6 @@ impl StudyRow {
         let measured = self.measured?.seconds()?;
         Some((measured / self.predicted.seconds()? - 1.0) * 100.0)
     }
-}
-
-#[derive(Debug, Clone, PartialEq)]
-pub struct StabilityMap {
-    pub law: LawId,
-    pub condition: OperatingCondition,
-    pub response: f64,
-    pub periods: Vec<f64>,
-    pub delays: Vec<f64>,
-    /// Indexed by period, then by delay.
-    pub spectral_radius: Vec<Vec<f64>>,
-    /// 5 % settling time, s, of a start with the f32 controller, indexed like `spectral_radius`.
-    /// `None` if it does not settle.
-    pub settling: Vec<Vec<Option<f64>>>,
-    /// Control periods and their measured delay boundaries, s.
-    pub measured: Vec<(f64, f64)>,
 }
 
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -283,12 +247,12 @@ pub fn boundary_table(study: &Study) -> Table {
             row.condition.name().to_owned(),
             format_microseconds(row.predicted, "unstable"),
             measured,
-            format_optional(row.difference_percent(), |percent| format!("{percent:+.2}")),
+            row.difference_percent().map_or_else(|| NOTHING.to_owned(), |percent| format!("{percent:+.2}")),
             format_microseconds(row.from_rest, "never"),
             format!("{:.3}", row.spectral_radius),
-            format_optional(row.margins.gain, |gain| format!("{gain:.2}")),
-            format_optional(row.margins.phase_deg, |degrees| format!("{degrees:.1}")),
-            format_optional(row.margins.delay_ms, |ms| format!("{:.0}", ms * 1e3)),
+            with_decimals(row.margins.gain, 2),
+            with_decimals(row.margins.phase_deg, 1),
+            with_decimals(row.margins.delay_ms.map(|ms| ms * 1e3), 0),
         ]
     }));
     for (law, condition) in &study.out_of_reach {
@@ -325,10 +289,6 @@ fn format_microseconds(boundary: DelayBoundary, never: &str) -> String {
         DelayBoundary::At(seconds) => format!("{:.0}", seconds * 1e6),
         DelayBoundary::Beyond(seconds) => format!("> {:.0}", seconds * 1e6),
     }
-}
-
-fn format_optional(value: Option<f64>, format: impl Fn(f64) -> String) -> String {
-    value.map_or_else(|| "–".to_owned(), format)
 }
 
 /// A boundary is empty without a steady state, `inf` beyond the search, 0 if never stable.

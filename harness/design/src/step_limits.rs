@@ -6,8 +6,8 @@
 //! gives its spectral radius.
 
 use nalgebra::{DMatrix, DVector};
+use platebench_document::{Column, Table};
 use platebench_plate::{Complex64, Conditions, Drive, Flow, Mode, Model, Plate, State};
-use platebench_report::document::{Column, Table};
 
 const STEP_RANGE_S: [f64; 2] = [1e-9, 1.0];
 /// Tolerance for the rounding error of a spectral radius of 1.

@@ -11,9 +11,10 @@ pub mod verification;
 
 use crate::loops::{AnalysisError, Discretisation, Margins};
 use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
+use platebench_document::format::with_decimals;
+use platebench_document::{Block, Column, Document, Table};
 use platebench_engine::delay_boundary::DelayBoundary;
 use platebench_plate::{Model, Plate};
-use platebench_report::document::{Block, Column, Document, Table};
 use platebench_verdict::statistics::try_bisect;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -342,8 +343,6 @@ fn worst_case(target: &TuningTarget<'_>, others: &[PlateVariant]) -> WorstCase {
     }
 }
 
-const NONE: &str = "–";
-
 /// `spread` is the plate spread with which the sensitivity in `tuning` was computed.
 pub fn document(target: &TuningTarget<'_>, spread: &PlateSpread, tuning: &TuningResult) -> Document {
     let mut blocks = vec![
@@ -395,10 +394,6 @@ fn without_rounding_noise(ms: f64) -> f64 {
     (ms * 1e6).round() / 1e6
 }
 
-fn format_optional(value: Option<f64>, decimals: usize) -> String {
-    value.map_or_else(|| NONE.to_owned(), |value| format!("{value:.decimals$}"))
-}
-
 fn readings_table(readings: &[DesignEvaluation]) -> Table {
     let mut table = Table::new([
         Column::from("discretisation"),
@@ -415,14 +410,13 @@ fn readings_table(readings: &[DesignEvaluation]) -> Table {
     for row in readings {
         let step = |&StepEvaluation { settling_ms, overshoot_percent, peak_drive_vpp }: &StepEvaluation| {
             let settling = settling_ms.map_or_else(|| "never".to_owned(), |ms| format!("{ms:.3}"));
-            let finite =
-                |value: f64, decimals| format_optional((overshoot_percent <= 999.0).then_some(value), decimals);
+            let finite = |value: f64, decimals| with_decimals((overshoot_percent <= 999.0).then_some(value), decimals);
             [settling, finite(overshoot_percent, 1), finite(peak_drive_vpp, 0)]
         };
         let margins = [
             format!("{:.3}", row.spectral_radius),
-            format_optional(row.amplitude.margins.phase_deg, 1),
-            format_optional(row.amplitude.margins.delay_ms, 3),
+            with_decimals(row.amplitude.margins.phase_deg, 1),
+            with_decimals(row.amplitude.margins.delay_ms, 3),
         ];
         let steps = step(&row.linear).into_iter().chain(step(&row.plate));
         table.push([row.discretisation.name().to_owned()].into_iter().chain(steps).chain(margins));
@@ -433,11 +427,11 @@ fn readings_table(readings: &[DesignEvaluation]) -> Table {
 fn design_blocks(title: &str, design: &DesignEvaluation) -> [Block; 3] {
     let predicted = format!(
         "predicted: settling {} ms, overshoot {:.1} %, peak drive {:.0} Vpp, {} periods at the limit; linear loop {} ms",
-        format_optional(design.plate.settling_ms, 3),
+        with_decimals(design.plate.settling_ms, 3),
         design.plate.overshoot_percent,
         design.plate.peak_drive_vpp,
         design.saturated_periods,
-        format_optional(design.linear.settling_ms, 3),
+        with_decimals(design.linear.settling_ms, 3),
     );
     let mut table = Table::new([
         Column::from("loop"),
@@ -459,9 +453,9 @@ fn design_blocks(title: &str, design: &DesignEvaluation) -> [Block; 3] {
             unit.to_owned(),
             format!("{ki_per_s:.6}"),
             poles.join(", "),
-            format_optional(margins.gain, 2),
-            format_optional(margins.phase_deg, 1),
-            format_optional(margins.delay_ms, 3),
+            with_decimals(margins.gain, 2),
+            with_decimals(margins.phase_deg, 1),
+            with_decimals(margins.delay_ms, 3),
         ]);
     }
     let (name, response) = (design.discretisation.name(), design.designed_for_ms);
@@ -487,7 +481,7 @@ fn sensitivity_blocks(spread: &PlateSpread, found: &Sensitivity) -> Vec<Block> {
     let mut row = |name: String, settling_ms: Option<f64>, overshoot: f64, margins: Margins, in_time: String| {
         let Margins { gain, phase_deg, delay_ms } = margins;
         let numbers = [(settling_ms, 3), (Some(overshoot), 1), (gain, 2), (phase_deg, 1), (delay_ms, 3)];
-        let numbers = numbers.map(|(value, decimals)| format_optional(value, decimals));
+        let numbers = numbers.map(|(value, decimals)| with_decimals(value, decimals));
         table.push([name].into_iter().chain(numbers).chain([in_time]));
     };
     let cases = [("worst corner", Some(&found.worst_corner)), ("worst random plate", found.worst_sample.as_ref())];

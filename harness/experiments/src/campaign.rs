@@ -49,7 +49,7 @@ pub use row::ShardEnd;
 pub use summary::Summary;
 use summary::TestedController;
 pub use truncation::Truncation;
-pub use worst_run::{Response, ResponseLinks, play_worst, worst_trials};
+pub use worst_run::{Response, ResponseLinks, play_worst, response_links, worst_trials};
 
 /// If a part is damaged, returns an error and keeps the results of an earlier merge.
 pub fn merge<'a>(

@@ -7,11 +7,11 @@ mod line_tables;
 pub mod suite;
 
 use line_tables::check_line_tables;
+use platebench_document::{Block, Column, Document, Table};
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
-use platebench_report::document::{Block, Column, Document, Table};
 use platebench_rig::{CancelToken, Symbols};
 use platebench_wire::LawId;
 use std::cmp::Reverse;

@@ -35,6 +35,7 @@ use crate::acceptance::session_record::{
 use crate::acceptance::steps::{
     ScenarioRun, StepAction, ask_operator, measure_trust, run_self_test, step_actions, step_records,
 };
+use platebench_document::format::count;
 use platebench_engine::{Clock, FirmwareDigest, Pacing, Question, QuestionKind, RunError};
 use platebench_model::quoted;
 use platebench_model::record::{
@@ -42,7 +43,6 @@ use platebench_model::record::{
     utc_timestamp,
 };
 use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
-use platebench_report::format::count;
 use platebench_report::{console, scripts_not_played, traceability};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use std::fs::{self, TryLockError};

@@ -14,8 +14,8 @@ pub use soak::{SOAK_FILE, SoakConfig, SoakEnd, SoakRecord, SoakResult, SoakScena
 pub use state::{BoardOutcome, LastRun, Quarantine, RunsBelow};
 
 use crate::boards::state::{BoardFiles, BoardLock, StoredState};
+use platebench_document::{Block, Document, Table};
 use platebench_model::record::{to_hex, utc_timestamp};
-use platebench_report::document::{Block, Document, Table};
 use platebench_rig::{CancelToken, ConnectOptions, Session};
 use schemars::JsonSchema;
 use serde::Serialize;

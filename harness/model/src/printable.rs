@@ -33,3 +33,16 @@ pub fn is_active(character: char) -> bool {
         || matches!(character, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}')
         || matches!(character, '\u{2060}'..='\u{206f}' | '\u{feff}')
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn escapes_hostile_text() {
+        let hostile = "=1\u{1b}[2J\u{202e}\n::error::#|";
+        assert_eq!(printable(hostile), "=1\\u{1b}[2J\\u{202e}\\n::error::#|");
+        assert_eq!(printable_lines(hostile), "=1\\u{1b}[2J\\u{202e}\n::error::#|");
+        assert_eq!([printable, printable_lines].map(|escape| escape("µm ≤ 2 …")), ["µm ≤ 2 …"; 2]);
+    }
+}

@@ -2,12 +2,12 @@
 //! run folder.
 
 use libtest_mimic::{Arguments, Trial};
+use platebench_document::Style;
 use platebench_engine::{Clock, RunError, RunHooks, RunPlan};
 use platebench_model::record::{Assessment, FolderError, Overrides, RECORD_FILE, RunFolder, RunRecord};
 use platebench_model::scenario::{Diagnostic, Scenario, find};
 use platebench_model::trace::{FileError, OutputFolder};
-use platebench_report::document::Style;
-use platebench_report::{ReportError, console, junit, page, traceability};
+use platebench_report::{console, junit, page, traceability};
 use platebench_rig::SpecError;
 use platebench_rig::{ConnectError, ConnectOptions, RigSpec};
 use std::fmt::Write as _;
@@ -141,8 +141,6 @@ pub(crate) enum TestFailure {
     Verdict { code: u8, expected: u8, table: String, folder: PathBuf },
     #[error("{0}")]
     Run(#[from] RunError),
-    #[error("{0}")]
-    Report(#[from] ReportError),
     #[error("{}: {source}", path.display())]
     Folder { path: PathBuf, source: io::Error },
 }

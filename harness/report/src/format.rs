@@ -1,6 +1,7 @@
-//! Formats numbers, limits, verdicts and counts, without layout or markup.
+//! Formats what a record contains (limits, values, reasons, overrides), without layout or markup.
 
 use crate::record_queries::{CauseGroup, NotApplicableGroup};
+pub(crate) use platebench_document::format::{count, duration, number, percent, sign, significant_digits};
 use platebench_model::metrics::Unit;
 use platebench_model::quoted;
 use platebench_model::record::{
@@ -120,61 +121,11 @@ pub(crate) fn not_applicable(scenario: &NotApplicable) -> String {
     format!("not applicable: {}", scenario.reason)
 }
 
-pub fn count(number: usize, one: &str) -> String {
-    if number == 1 { format!("1 {one}") } else { format!("{number} {one}s") }
-}
-
-pub const fn sign(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Pass => "✓",
-        Verdict::Fail => "✗",
-        Verdict::Inconclusive => "?",
-    }
-}
-
 pub(crate) fn verdict(expectation: &ExpectationRecord) -> String {
     match expectation.cause {
         Some(cause) if expectation.verdict == Verdict::Inconclusive => format!("{}: {cause}", expectation.verdict),
         _ => expectation.verdict.to_string(),
     }
-}
-
-/// A number with four significant digits, without trailing zeros.
-pub(crate) fn number(value: f64) -> String {
-    significant_digits(value, 4)
-}
-
-/// Size of a change in percent, with two significant digits below 10, else three.
-pub(crate) fn percent(value: f64) -> String {
-    significant_digits(value.abs(), if value.abs() < 10.0 { 2 } else { 3 })
-}
-
-pub(crate) fn duration(ms: f64) -> String {
-    match ms / 1e3 {
-        seconds if seconds < 1.0 => format!("{ms:.0} ms"),
-        seconds if seconds < 60.0 => format!("{seconds:.1} s"),
-        seconds => format!("{} min {:.0} s", (seconds / 60.0).floor(), (seconds % 60.0).floor()),
-    }
-}
-
-fn significant_digits(value: f64, significant: i32) -> String {
-    if value == 0.0 {
-        return "0".to_owned();
-    }
-    let magnitude = value.abs().log10().floor() as i32;
-    if !(-3..=9).contains(&magnitude) {
-        let text = format!("{value:.*e}", usize::try_from(significant - 1).unwrap_or(0));
-        return match text.split_once('e') {
-            Some((mantissa, exponent)) => format!("{}e{exponent}", trim_zeros(mantissa)),
-            None => text,
-        };
-    }
-    let decimals = usize::try_from(significant - 1 - magnitude).unwrap_or(0);
-    trim_zeros(&format!("{value:.decimals$}")).to_owned()
-}
-
-fn trim_zeros(text: &str) -> &str {
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
 }
 
 /// The value, with enough digits to lie on the correct side of its limit.
@@ -340,6 +291,11 @@ pub(crate) fn outside_tube(worst: &Exceedance) -> String {
     )
 }
 
+/// Empty without a value, which has no unit.
+pub(crate) fn unit_of_value(expectation: &ExpectationRecord) -> &'static str {
+    expectation.value.map_or("", |_| unit(expectation.metric))
+}
+
 /// Empty for a ratio or a count.
 pub const fn unit(metric: Metric) -> &'static str {
     metric.spec().unit.symbol()
@@ -350,28 +306,6 @@ mod tests {
     use super::*;
     use platebench_model::record::{Bounds, Divergence, Evidence, MetricDefinition, MissingValue};
     use rstest::rstest;
-
-    #[rstest]
-    #[case(0.0, "0")]
-    #[case(2.0, "2")]
-    #[case(1.948_71, "1.949")]
-    #[case(32_307.61, "32308")]
-    #[case(540.0, "540")]
-    #[case(-0.001_234_56, "-0.001235")]
-    #[case(0.000_012_3, "1.23e-5")]
-    #[case(1e-12, "1e-12")]
-    fn numbers_are_short(#[case] value: f64, #[case] expected: &str) {
-        assert_eq!(number(value), expected);
-    }
-
-    #[rstest]
-    #[case(0.4, "0 ms")]
-    #[case(340.0, "340 ms")]
-    #[case(2_500.0, "2.5 s")]
-    #[case(725_900.0, "12 min 5 s")]
-    fn durations_have_their_unit(#[case] ms: f64, #[case] expected: &str) {
-        assert_eq!(duration(ms), expected);
-    }
 
     fn failed_settling_time() -> ExpectationRecord {
         ExpectationRecord {

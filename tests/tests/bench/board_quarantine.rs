@@ -45,7 +45,9 @@ fn a_controller_that_ends_leaves_0_v_unconfirmed() {
 fn a_board_lost_during_a_trial_is_quarantined_despite_0_v() {
     let program = env!("CARGO_BIN_EXE_real-plate-under-test");
     let folder = lab(&format!("exec:'{program}' {{port}} mute=20"));
-    folder.bench(["run", "--plate-mode", "real", "--board", "left", "--reply-timeout", "5000", "--out", "run"]).assert_exit(5);
+    folder
+        .bench(["run", "--plate-mode", "real", "--board", "left", "--reply-timeout", "5000", "--out", "run"])
+        .assert_exit(5);
     assert_eq!(folder.record("run").safe_confirmed, Some(true));
     assert_only_left_is_quarantined(&folder, "lost during a trial");
 }

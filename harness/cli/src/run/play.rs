@@ -14,6 +14,7 @@ use crate::selection::ScenarioFilter;
 use crate::{outputs, run_plan, shutdown, stdio};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
+use platebench_document::format::count;
 use platebench_engine::{Clock, RunError, RunPlan, rejudge};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::quoted_path;
@@ -21,7 +22,6 @@ use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, Verd
 use platebench_model::scenario::{AUTO_MODEL, Diagnostic, MAX_TRIALS, Scenario};
 use platebench_plate::Model;
 use platebench_report::events::{EventWriter, run_finished};
-use platebench_report::format::count;
 use platebench_report::live::RunDescription;
 use platebench_report::page::RowCache;
 use platebench_report::{Detail, Progress, ProgressKind, counts_so_far, junit, page, slow_scenarios, traceability};

@@ -149,9 +149,7 @@ impl From<ExploreError> for Failure {
             ExploreError::Connect(error) => error.into(),
             ExploreError::Rig(error) => error.into(),
             ExploreError::Run(error) => error.into(),
-            ExploreError::LawNotAnnounced { .. } | ExploreError::File(_) | ExploreError::Report(_) => {
-                Self::invalid(&error)
-            }
+            ExploreError::LawNotAnnounced { .. } | ExploreError::File(_) => Self::invalid(&error),
             ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled => {
                 Self::new(Exit::Inconclusive, &error)
             }

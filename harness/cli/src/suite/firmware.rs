@@ -7,6 +7,7 @@ use crate::selection::{ScenarioFilter, find_scenarios};
 use crate::shutdown::{EventSender, run_until_signal, unless_signalled};
 use crate::stdio;
 use clap::Args;
+use platebench_document::Style;
 use platebench_experiments::firmware_analysis::{
     AnalysisError, Coverage, CoverageConfig, Suite, document as coverage_document, lcov_tracefile, measure_coverage,
 };
@@ -16,7 +17,7 @@ use platebench_experiments::mutation::{
 };
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{AtPath, FileError, OutputFolder};
-use platebench_report::{Detail, Style};
+use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
 use std::io;
 use std::path::{Path, PathBuf};

@@ -7,13 +7,14 @@ use crate::run_plan::{EventSinks, run_plan};
 use crate::stdio;
 use platebench_design::tuning::design::StepEvaluation;
 use platebench_design::tuning::verification::{VerificationStep, gains_match, step_scenario};
+use platebench_document::format::with_decimals;
+use platebench_document::{Block, Column, Document, Table};
 use platebench_engine::{Clock, LiveTap, RunError, RunPlan, configure};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::quoted;
 use platebench_model::record::{ClockKind, Overrides, RunFolder, TrialRecord};
 use platebench_model::scenario::Scenario;
 use platebench_report::console;
-use platebench_report::document::{Block, Column, Document, Table};
 use platebench_rig::{ConnectOptions, RigSpec, SafeEnd, Session, check_baud};
 use platebench_wire::{Gains, LawId};
 use schemars::JsonSchema;
@@ -48,7 +49,7 @@ impl RigVerification {
     /// Compares the step with the prediction of the design.
     pub(super) fn document(&self, predicted: &StepEvaluation) -> Document {
         let mut table = Table::new([Column::from(""), Column::number("predicted", ""), Column::number("measured", "")]);
-        let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.3}"));
+        let number = |value| with_decimals(value, 3);
         table.extend(
             [
                 ("settling, ms", predicted.settling_ms, self.settling_ms),

@@ -2,9 +2,11 @@
 
 use crate::margins::result::{CaseMargins, Edge, Margin, MarginReport};
 use crate::margins::scenes::{OperatingPoint, Quantity, STABILITY_RULE};
-use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel, HeatScale, ScatterChart, ScatterPanel, ScatterPoint};
-use platebench_report::document::{Block, Column, Document, Table};
-use platebench_report::page::ChartSection;
+use platebench_document::chart::{
+    HeatAxis, HeatFigure, HeatPanel, HeatScale, ScatterChart, ScatterPanel, ScatterPoint,
+};
+use platebench_document::format::with_decimals;
+use platebench_document::{Block, ChartSection, Column, Document, NOTHING, Table};
 
 const TITLE: &str = "Measured margins";
 const CSV_FILE: &str = "margins.csv";
@@ -80,8 +82,8 @@ fn margin_table(case: &CaseMargins) -> Table {
             edge_text(*quantity, requirement),
             requirement.failing.clone().unwrap_or_default(),
             edge_text(*quantity, stability),
-            optional(*predicted, |value| format!("{value:.3}")),
-            optional(margin.difference_percent(), |percent| format!("{percent:+.2}")),
+            with_decimals(*predicted, 3),
+            margin.difference_percent().map_or_else(|| NOTHING.to_owned(), |percent| format!("{percent:+.2}")),
             (requirement.trials + stability.trials).to_string(),
         ]
     }));
@@ -101,10 +103,6 @@ fn edge_text(quantity: Quantity, edge: &Edge) -> String {
     }
 }
 
-fn optional(value: Option<f64>, format: impl Fn(f64) -> String) -> String {
-    value.map_or_else(|| "–".to_owned(), format)
-}
-
 fn cost_table(report: &MarginReport) -> Table {
     let mut table = Table::new([
         Column::from("controller"),
@@ -118,7 +116,7 @@ fn cost_table(report: &MarginReport) -> Table {
     ]);
     table.extend(report.cases.iter().map(|case| {
         let noise = case.noise_gain.map_or_else(
-            || "–".to_owned(),
+            || NOTHING.to_owned(),
             |gain| match gain.interval {
                 Some([low, high]) => format!("{low:.3} … {high:.3}"),
                 None => format!("{:.3}", gain.value),
@@ -131,8 +129,8 @@ fn cost_table(report: &MarginReport) -> Table {
             name(case),
             point_text(&case.point),
             cost_text(case),
-            optional(case.settling_ms, |ms| format!("{ms:.3}")),
-            optional(case.static_error_percent, |percent| format!("{percent:.4}")),
+            with_decimals(case.settling_ms, 3),
+            with_decimals(case.static_error_percent, 4),
             noise,
             stable_to(Quantity::DriveGain),
             stable_to(Quantity::Delay),
@@ -143,8 +141,11 @@ fn cost_table(report: &MarginReport) -> Table {
 
 /// Instructions, or the time with bench and line on rigs that do not count them.
 fn cost_text(case: &CaseMargins) -> String {
-    let time = || optional(case.time_per_step_us, |us| format!("{us:.1} µs with the bench"));
-    case.instructions_per_step.map_or_else(time, |count| format!("{count:.0} instructions"))
+    match (case.instructions_per_step, case.time_per_step_us) {
+        (Some(count), _) => format!("{count:.0} instructions"),
+        (None, Some(us)) => format!("{us:.1} µs with the bench"),
+        (None, None) => NOTHING.to_owned(),
+    }
 }
 
 fn csv(report: &MarginReport) -> String {

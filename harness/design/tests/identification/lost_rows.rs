@@ -4,8 +4,8 @@ use crate::alignment::{Covered, frequency_steps, plate, voltage_drive, voltage_s
 use crate::simulation::{STILL, relog, scene, simulate};
 use platebench_design::identified_plate::document;
 use platebench_design::identify::{Identification, Inconsistency, Warning, identify};
+use platebench_document::Style;
 use platebench_model::recording::Recording;
-use platebench_report::Style;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, Uniform};

@@ -3,10 +3,10 @@
 use crate::simulation::{STILL, details, scene, simulate};
 use platebench_design::identified_plate::{document, plate_file};
 use platebench_design::identify::identify;
+use platebench_document::Style;
 use platebench_model::recording::{RecordedInput, RecordedSample, Recording, RecordingError, SampleSource};
 use platebench_model::trace::{Flags, Row};
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Plate, RawPlate};
-use platebench_report::Style;
 use platebench_test_kit::paper_plate;
 use std::f64::consts::TAU;
 

@@ -7,8 +7,8 @@ use platebench_design::tuning::{
     DesignEvaluation, InfeasibilityCause, PlateSpread, TuningResult, document, evaluate_design, evaluate_sensitivity,
     tune,
 };
+use platebench_document::Style;
 use platebench_plate::{Model, Plate};
-use platebench_report::Style;
 use platebench_test_kit::paper_plate;
 use rstest::rstest;
 

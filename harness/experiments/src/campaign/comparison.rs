@@ -12,12 +12,12 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::part::PartReader;
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::row::TrialRow;
+use platebench_document::format;
+use platebench_document::{Block, Column, Document, Table};
 use platebench_model::quoted;
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Expectation;
 use platebench_model::trace::{AtPath, OutputFolder};
-use platebench_report::document::{Block, Column, Document, Table};
-use platebench_report::format;
 use platebench_verdict::statistics::{clopper_pearson, mean_bounds};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -217,10 +217,10 @@ pub fn compare(folders: &[LabelledFolder<'_>]) -> Result<CampaignComparison, Cam
                 cell.add(row, other);
             }
         }
-        let cells = cells.into_iter().enumerate().map(|(number, cell)| PairedTally {
-            values: Some(campaign.cell_values(number)),
-            ..cell.finish(&campaign)
-        });
+        let cells = cells
+            .into_iter()
+            .enumerate()
+            .map(|(number, cell)| PairedTally { values: Some(campaign.cell_values(number)), ..cell.finish(&campaign) });
         Ok(PairComparison {
             controller: ComparedController::new(controller, &plan),
             reference: ComparedController::new(reference, &reference_plan),
@@ -373,7 +373,8 @@ mod tests {
     #[test]
     fn the_failing_share_is_compared_by_different_verdicts() {
         use Verdict::{Fail, Inconclusive, Pass};
-        let verdicts = [[Fail, Pass], [Fail, Pass], [Fail, Pass], [Pass, Fail], [Fail, Fail], [Pass, Pass], [Fail, Inconclusive]];
+        let verdicts =
+            [[Fail, Pass], [Fail, Pass], [Fail, Pass], [Pass, Fail], [Fail, Fail], [Pass, Pass], [Fail, Inconclusive]];
         let pairs = verdicts.map(|[one, other]| [row(0, 1.0, one), row(0, 1.0, other)]);
         let absent = [TrialRow { is_applicable: false, ..row(1, 1.0, Pass) }, row(1, 1.0, Pass)];
         let tally = tally(pairs.into_iter().chain([absent]));

@@ -5,7 +5,6 @@ use platebench_engine::RunError;
 use platebench_model::record::FolderError;
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::FileError;
-use platebench_report::ReportError;
 use platebench_rig::{ConnectError, RigError};
 use std::path::{Path, PathBuf};
 
@@ -18,8 +17,9 @@ pub enum CampaignError {
     File(#[from] FileError),
     #[error("{}: {source}", path.display())]
     Write { path: PathBuf, source: ParquetError },
+    /// The page of the run of the worst trials cannot be written.
     #[error(transparent)]
-    Report(#[from] ReportError),
+    Page(FileError),
     #[error("{}: contains no plan.json, expected a folder that `platebench campaign plan` wrote", .0.display())]
     NoPlan(PathBuf),
     #[error(

@@ -8,7 +8,7 @@
 use crate::campaign::distribution::{Choice, Variable};
 use crate::campaign::results::axis_label;
 use crate::campaign::summary::Summary;
-use platebench_report::document::{Block, Column, Table};
+use platebench_document::{Block, Column, Table};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::{Map, Value, json};

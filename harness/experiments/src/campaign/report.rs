@@ -9,10 +9,9 @@ use crate::campaign::row::{Tally, TrialRow, margin_text};
 use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
+use platebench_document::chart::{HeatAxis, HeatFigure, HeatPanel, HeatScale};
+use platebench_document::{AreaLink, Block, Cell, Column, Document, Figure, Table};
 use platebench_model::record::Verdict;
-use platebench_report::chart::{HeatAxis, HeatFigure, HeatPanel, HeatScale};
-use platebench_report::document::{AreaLink, Block, Cell, Column, Document, Figure, Table};
-use platebench_report::format;
 use std::path::Path;
 
 pub const REPORT_FILE: &str = "report.html";
@@ -154,7 +153,7 @@ fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Vec<Block> {
     ];
     let expectations = summary.campaign.template.scenario.expectations.iter().take(MAX_VALUE_MAPS);
     for (index, expectation) in expectations.enumerate() {
-        let unit = format::unit(expectation.metric);
+        let unit = expectation.metric.spec().unit.symbol();
         let title =
             [&*expectation.name, unit].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
         figures.push(figure(format!("mean {title}"), HeatScale::Range, &|cell| cell.mean(index)));

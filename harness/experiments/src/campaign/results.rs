@@ -12,11 +12,10 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
+use platebench_document::parquet::{write_column, write_optional_column};
+use platebench_document::without_formula;
 use platebench_model::scenario::Metric;
 use platebench_model::trace::{AtPath, OutputFile, OutputFolder};
-use platebench_report::export::parquet::{write_column, write_optional_column};
-use platebench_report::format;
-use platebench_report::text::without_formula;
 use platebench_verdict::uncertainty::ErrorOrigin;
 use std::fs::File;
 use std::io::{self, BufWriter};
@@ -161,8 +160,8 @@ fn error_columns(campaign: &Campaign) -> impl Iterator<Item = (String, Metric)> 
 fn metadata(campaign: &Campaign) -> Vec<KeyValue> {
     let keys = campaign.variables.iter().map(|variable| (variable.key.clone(), unit_of_key(&variable.key)));
     let expectations = campaign.template.scenario.expectations.iter();
-    let values = expectations.map(|expectation| (expectation.name.clone(), format::unit(expectation.metric)));
-    let errors = error_columns(campaign).map(|(name, metric)| (name, format::unit(metric)));
+    let values = expectations.map(|expectation| (expectation.name.clone(), expectation.metric.spec().unit.symbol()));
+    let errors = error_columns(campaign).map(|(name, metric)| (name, metric.spec().unit.symbol()));
     let units = keys.chain(values).chain(errors).filter(|(_, unit)| !unit.is_empty());
     let units = units.map(|(column, unit)| (format!("unit.{column}"), unit.to_owned()));
     let title = ("title".to_owned(), campaign.title.clone());

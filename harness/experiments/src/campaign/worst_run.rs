@@ -1,5 +1,5 @@
 //! Writes trials as scenarios that `platebench run` plays, and plays the worst ones again as a run,
-//! whose report shows their responses.
+//! whose page shows their responses.
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
@@ -8,11 +8,9 @@ use crate::campaign::play::PlayConfig;
 use crate::campaign::row::{MAX_WORST, TrialRow};
 use crate::campaign::summary::Summary;
 use platebench_engine::{Clock, Event, RunError, RunHooks, RunPlan, run};
-use platebench_model::record::{KeepTraces, Overrides, RunFolder};
+use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, ScenarioRecord};
 use platebench_model::scenario::load;
 use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
-use platebench_report::console;
-use platebench_report::page::{self, ReportPage, RowCache, scenario_anchor};
 use platebench_rig::ConnectOptions;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -58,17 +56,19 @@ pub fn worst_trials(summary: &Summary<'_>) -> Result<Vec<DrawnTrial>, CampaignEr
     trials.into_iter().take(MAX_TRIALS).map(trial).collect()
 }
 
-/// Writes the trials as scenarios to `worst`, and plays them if the rig is simulated.
+/// Writes the trials as scenarios to `worst`, and plays them if the rig is simulated. Keeps the rows of one trial per
+/// scenario for the page of the run.
 pub fn play_worst(
     folder: &Path,
     campaign: &Campaign,
     trials: &[DrawnTrial],
     config: &PlayConfig,
-) -> Result<ResponseLinks, CampaignError> {
+    on_event: impl FnMut(Event),
+) -> Result<Option<(RunRecord, RunFolder)>, CampaignError> {
     let scenario_folder = folder.join(FOLDER);
     write_scenarios(&OutputFolder::open(folder)?, FOLDER, campaign, trials)?;
     if trials.is_empty() || !config.rig.is_simulated() {
-        return Ok(ResponseLinks::new());
+        return Ok(None);
     }
     let files = trials.iter().map(|trial| file_name(trial.number));
     let scenarios = files.map(|file| load(&scenario_folder.join(&file), &file)).collect::<Result<Vec<_>, _>>();
@@ -79,12 +79,6 @@ pub fn play_worst(
     let plan = RunPlan::new(&config.rig, clock, config.jobs, scenarios, overrides);
     let run_folder = RunFolder::create(Some(&scenario_folder.join(RUN)))?;
     let options = ConnectOptions { cancel: config.cancel.clone(), ..ConnectOptions::default() };
-    let mut rows = RowCache::default();
-    let on_event = |event| {
-        if let Event::TrialFinished { trial, rows: played, .. } = event {
-            rows.add(&trial.trace, played);
-        }
-    };
     let hooks = RunHooks {
         cancel: config.cancel.clone(),
         on_event: Box::new(on_event),
@@ -96,14 +90,22 @@ pub fn play_worst(
             RunError::Cancelled => CampaignError::Cancelled,
             error => CampaignError::Run(error),
         })?;
-    ReportPage::new(&record, run_folder.path()).with_rows(rows).write(&run_folder.path().join(page::FILE))?;
+    Ok(Some((record, run_folder)))
+}
+
+/// `describe` returns the address of a scenario in the run folder, and why it did not pass.
+pub fn response_links(
+    trials: &[DrawnTrial],
+    record: &RunRecord,
+    describe: impl Fn(usize, &ScenarioRecord) -> (String, Option<String>),
+) -> ResponseLinks {
     let link = |trial: &DrawnTrial| {
         let file = file_name(trial.number);
         let (index, scenario) = record.scenarios.iter().enumerate().find(|(_, scenario)| scenario.file == file)?;
-        let link = format!("{FOLDER}/{RUN}/{}#{}", page::FILE, scenario_anchor(index));
-        Some((trial.number, Response { link, reason: console::scenario_reason(scenario) }))
+        let (address, reason) = describe(index, scenario);
+        Some((trial.number, Response { link: format!("{FOLDER}/{RUN}/{address}"), reason }))
     };
-    Ok(trials.iter().filter_map(link).collect())
+    trials.iter().filter_map(link).collect()
 }
 
 /// Largest plate or profile, as for the scenario that names it.

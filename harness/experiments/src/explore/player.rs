@@ -191,8 +191,6 @@ fn protocol_failure(violation: &Violation) -> SceneFailure {
 #[derive(Debug, thiserror::Error)]
 pub enum ExploreError {
     #[error(transparent)]
-    Report(#[from] platebench_report::ReportError),
-    #[error(transparent)]
     Connect(#[from] ConnectError),
     #[error(transparent)]
     Rig(#[from] RigError),

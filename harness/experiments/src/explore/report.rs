@@ -10,11 +10,11 @@ use crate::explore::guidance::GuidanceTally;
 use crate::explore::limits::{LawProperties, OwnLaw};
 use crate::explore::player::{ExploreError, violated};
 use crate::explore::properties::Property;
+use platebench_document::{Block, Document, Figure, Table};
 use platebench_engine::SafeEnds;
+use platebench_model::printable::printable;
 use platebench_model::quoted;
 use platebench_model::record::Verdict;
-use platebench_report::document::{Block, Document, Figure, Table};
-use platebench_report::text::printable;
 use platebench_verdict::statistics::clopper_pearson;
 use platebench_wire::LawId;
 use schemars::JsonSchema;
@@ -128,7 +128,8 @@ impl ExploreReport {
         let failed = exploration.failed.len() as u64;
         let sequences = exploration.sequences;
         let has_failed = failed > 0 || sequences.failed > 0 || !exploration.failed_regressions.is_empty();
-        let undecided = exploration.undecided + sequences.undecided + undecided_count(&exploration.unjudged_regressions);
+        let undecided =
+            exploration.undecided + sequences.undecided + undecided_count(&exploration.unjudged_regressions);
         let is_empty = exploration.scenes == 0 && exploration.regressions == 0;
         let verdict = match (has_failed, undecided > 0 || exploration.is_interrupted || is_empty) {
             (true, _) => Verdict::Fail,

@@ -16,8 +16,8 @@ use crate::explore::sequence::SequenceLimits;
 use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
 #[cfg(feature = "firmware-analysis")]
 use crate::firmware_analysis::suite::read_code;
-use platebench_engine::{SafeEnds, law, why_not_applicable};
 use platebench_engine::plan::LinkFactory;
+use platebench_engine::{SafeEnds, law, why_not_applicable};
 use platebench_model::scenario::{OWN_LAW, Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigSpec, Session};

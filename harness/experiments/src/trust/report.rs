@@ -1,7 +1,7 @@
 //! Defines the report of `platebench suite trust` (`trust.json`), and its text and Markdown tables.
 
+use platebench_document::{Block, Column, Document, Table};
 use platebench_model::record::Verdict;
-use platebench_report::document::{Block, Column, Document, Table};
 use platebench_verdict::statistics::clopper_pearson;
 use schemars::JsonSchema;
 use serde::Serialize;

@@ -13,9 +13,9 @@ use platebench_model::scenario::{Scenario, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
 use platebench_wire::{LawId, Message};
 use rstest::rstest;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::fs;
 use std::time::Duration;
 
 /// Long enough that a search ends by its number of replays, also on a busy machine.

@@ -3,9 +3,9 @@
 use crate::acceptance::session_record::{
     DecisionRecord, EvidenceRecord, RequirementRecord, STEPS, SessionRecord, StepRecord,
 };
+use platebench_document::{Block, Cell, Column, Document, Table};
 use platebench_model::quoted;
 use platebench_model::record::Verdict;
-use platebench_report::document::{Block, Cell, Column, Document, Table};
 
 pub const FILE: &str = "record.html";
 

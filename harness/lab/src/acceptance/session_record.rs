@@ -328,8 +328,6 @@ pub enum AcceptError {
     Rejudge(#[from] RejudgeError),
     #[error(transparent)]
     Trust(#[from] TrustError),
-    #[error(transparent)]
-    Report(#[from] platebench_report::ReportError),
     #[error("stopped at \"{0}\": the answer was no; resume the session when the answer is yes")]
     AnsweredNo(String),
     #[error(

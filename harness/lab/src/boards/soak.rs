@@ -2,6 +2,7 @@
 //! a bounded size.
 
 use crate::boards::state::BoardOutcome;
+use platebench_document::{Block, Document, Table};
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::{CancelToken, RigSession, RunError, RunHooks, RunPlan, rejudge, run};
 use platebench_model::record::{
@@ -12,7 +13,6 @@ use platebench_model::trace::{
     AtPath as _, FileError, OutputFolder, missing_folders, read_text_file, remove_empty_folders,
 };
 use platebench_report::console;
-use platebench_report::document::{Block, Document, Table};
 use platebench_rig::SafeEnd;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,8 +1,8 @@
 //! Writes CSV: one tidy table of the whole run, and a description of its columns by the W3C's
 //! "Metadata Vocabulary for Tabular Data".
 
-use crate::escape::without_formula;
 use crate::export::source::{ExportError, ExportScenario, FLAG_COLUMNS, NUMBER_COLUMNS, Number};
+use platebench_document::without_formula;
 use platebench_model::trace::AtPath;
 use serde::Serialize;
 use serde_json::json;

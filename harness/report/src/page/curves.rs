@@ -1,8 +1,8 @@
 //! Reads signals, flagged windows and setpoint steps from the rows of a trace, and samples all trials at the same
 //! instants, which the plotting library draws fast.
 
-use crate::chart::marks::Point;
-use crate::chart::time::TimeWindow;
+use crate::time_chart::TimeWindow;
+use platebench_document::chart::marks::Point;
 use platebench_model::trace::{Column, Flags, Row};
 use platebench_verdict::metrics::setpoint_steps;
 

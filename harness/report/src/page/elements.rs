@@ -1,4 +1,4 @@
-//! Writes the small parts of pages: links, tables, anchors.
+//! Writes the small parts of pages: links and anchors.
 
 use maud::{Markup, html};
 use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
@@ -46,29 +46,3 @@ fn percent_encode_path(path: &str) -> String {
 
 /// Longer lists name this many entries and count the others.
 pub(super) const MAX_NAMED: usize = 5;
-
-/// A column whose name starts with `#` contains numbers.
-pub(super) fn scroll_table(label: &str, class: &str, columns: &[&str], rows: &Markup) -> Markup {
-    html! {
-        div.scroll role="group" aria-label=(label) tabindex="0" {
-            table class=(class) {
-                thead { tr {
-                    @for column in columns {
-                        @match column.strip_prefix('#') {
-                            Some(name) => th.number scope="col" { (name) },
-                            None => th scope="col" { (column) },
-                        }
-                    }
-                } }
-                tbody { (rows) }
-            }
-        }
-    }
-}
-
-pub(super) fn with_unit(text: Option<String>, unit: &str) -> Markup {
-    html! { @match text {
-        Some(text) => span { (text) @if !unit.is_empty() { " " span.unit { (unit) } } },
-        None => { span.nothing { "–" } },
-    } }
-}

@@ -2,10 +2,10 @@
 
 use super::curves::{self, percentiles};
 use super::trace_data::{GoldenCurves, SampledTrial, TraceData, View};
-use crate::chart::marks::{AxisValue, Mark, Point, Role, extent, view_box};
-use crate::chart::time::{SIZE, TimeChart, TimeWindow, worst_point};
 use crate::format;
+use crate::time_chart::{SIZE, TimeChart, TimeWindow, worst_point};
 use maud::{Markup, html};
+use platebench_document::chart::marks::{AxisValue, Mark, Point, Role, extent, view_box};
 use platebench_model::trace::Column;
 use platebench_verdict::tube::Exceedance;
 

@@ -2,8 +2,8 @@
 //! limit, the judged window and the worst instants of an expectation.
 
 use super::curves;
-use crate::chart::time::TimeWindow;
 use crate::format;
+use crate::time_chart::TimeWindow;
 use platebench_model::metrics::{ElapsedLabels, Levels, LimitMarkSpec, SignalPoint};
 use platebench_model::record::{
     ExpectationRecord, Limit, Metric, MetricDefinition, ScenarioRecord, TrialRecord, Verdict,

@@ -1,17 +1,17 @@
 //! Writes the parts of the page about the whole run: result, what did not pass, requirements, cost,
 //! boards, environment, and the list of scenarios next to the page.
 
-use super::elements::{MAX_NAMED, file_link, scenario_anchor, scroll_table, sorted_by_verdict};
+use super::elements::{MAX_NAMED, file_link, scenario_anchor, sorted_by_verdict};
 use super::scenario::symptom_remark;
 use super::trace_data::{TRACE_CHANGED, TraceData};
-use crate::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
-use crate::document::{Cell, Column, Table, verdict_badge};
 use crate::record_queries::CauseGroup;
 use crate::text::history::RunHistory;
 use crate::text::timing;
 use crate::text::traceability::{self, RequirementLink};
 use crate::{format, record_queries};
 use maud::{Markup, html};
+use platebench_document::chart::marks::{Axes, Axis, Drawing, Mark, Point, Role, view_box};
+use platebench_document::{Cell, Column, Table, verdict_badge};
 use platebench_model::quoted;
 use platebench_model::record::{
     CostTrend, EarlierCost, ExpectationRecord, RunRecord, ScenarioRecord, Statistic, Verdict,
@@ -287,10 +287,10 @@ pub(super) fn not_applicable(record: &RunRecord) -> Markup {
 pub(super) fn requirements(record: &RunRecord) -> Markup {
     let links = traceability::requirement_links(record);
     let all: usize = record.scenarios.iter().map(|scenario| scenario.expectations.len()).sum();
-    let rows = html! {
-        @for links in links.chunk_by(|a, b| a.requirement == b.requirement) { (requirement_row(links)) }
-    };
-    let columns = ["Requirement", "Verdict", "#Expectations passed", "Not passed, or else the first"];
+    let passed = Column::number("Expectations passed", "");
+    let mut table =
+        Table::new(["Requirement".into(), "Verdict".into(), passed, "Not passed, or else the first".into()]);
+    table.extend(links.chunk_by(|a, b| a.requirement == b.requirement).map(requirement_row));
     html! {
         @if !links.is_empty() {
             section aria-labelledby="requirements" {
@@ -299,36 +299,31 @@ pub(super) fn requirements(record: &RunRecord) -> Markup {
                     (links.len()) " of " (format::count(all, "expectation")) " belong to a requirement; "
                     code { (traceability::FILE) } " lists them with their traces."
                 }
-                (scroll_table("Requirements", "contents stacked", &columns, &rows))
+                (table.html_as("Requirements", "contents stacked"))
             }
         }
     }
 }
 
-fn requirement_row(links: &[RequirementLink<'_>]) -> Markup {
+fn requirement_row(links: &[RequirementLink<'_>]) -> [Cell; 4] {
+    let requirement = links.first().map_or("", |link| link.requirement);
     let text = links.iter().find_map(|link| link.scenario.requirement_texts.get(link.requirement));
-    let verdict = Verdict::combine(links.iter().map(|link| link.expectation.verdict));
     let open: Vec<_> = links.iter().filter(|link| link.expectation.verdict != Verdict::Pass).collect();
-    let named: Vec<_> = if open.is_empty() { links.iter().take(1).collect() } else { open.clone() };
-    html! {
-        tr {
-            th scope="row" {
-                (links.first().map_or("", |link| link.requirement))
-                @if let Some(text) = text { span.text { (text) } }
-            }
-            td data-label="Verdict" { (verdict_badge(verdict, verdict.name())) }
-            td.number data-label="Expectations passed" { (links.len() - open.len()) " of " (links.len()) }
-            td data-label="Expectations" { div {
-                @for link in named.iter().take(MAX_NAMED) {
-                    div {
-                        a href={ "#" (scenario_anchor(link.scenario_index)) } { (link.scenario.file) } ": "
-                        code { (link.expectation.name) } " " (format::limit(link.expectation))
-                    }
+    let named = if open.is_empty() { links.iter().take(1).collect() } else { open.clone() };
+    [
+        Cell::default().with_markup(html! { (requirement) @if let Some(text) = text { span.text { (text) } } }),
+        Cell::verdict(Verdict::combine(links.iter().map(|link| link.expectation.verdict))),
+        format!("{} of {}", links.len() - open.len(), links.len()).into(),
+        Cell::default().with_markup(html! { div {
+            @for link in named.iter().take(MAX_NAMED) {
+                div {
+                    a href={ "#" (scenario_anchor(link.scenario_index)) } { (link.scenario.file) } ": "
+                    code { (link.expectation.name) } " " (format::limit(link.expectation))
                 }
-                @if named.len() > MAX_NAMED { "and " (named.len() - MAX_NAMED) " more" }
-            } }
-        }
-    }
+            }
+            @if named.len() > MAX_NAMED { "and " (named.len() - MAX_NAMED) " more" }
+        } }),
+    ]
 }
 
 pub(super) fn cost_section(record: &RunRecord) -> Markup {

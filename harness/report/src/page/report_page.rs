@@ -1,17 +1,17 @@
 //! Writes `report.html`: a run on one page, what did not pass first.
 
-use super::elements::{scenario_anchor, scroll_table, sorted_by_verdict};
+use super::elements::{scenario_anchor, sorted_by_verdict};
 use super::figure::{ReferenceCurves, failure_drawings, scenario_figures};
 use super::scenario::{ScenarioParts, scenario_article};
 use super::trace_data::{GoldenCurves, MAX_TRIALS, PlotResolution, RowCache, SampledTrial, TraceData};
 use super::{overview, script};
-use crate::chart::marks::Role;
-use crate::document::{report_page_frame, verdict_badge};
-use crate::error::{ReportError, write_file};
 use crate::text::history::{RunHistory, TrendPoint};
 use crate::{format, record_queries};
 use maud::{Markup, html};
-use platebench_model::record::{ExpectationRecord, Metric, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_document::chart::marks::Role;
+use platebench_document::{Cell, Column, Table, page_frame, verdict_badge};
+use platebench_model::record::{ExpectationRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::trace::{AtPath, FileError, write_atomically};
 use platebench_verdict::golden::Baseline;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -23,7 +23,7 @@ pub const COMPARISON_FILE: &str = "comparison.html";
 const MAX_CARD_PLOTS: usize = 10;
 const CARD_LINE_POINTS: usize = 200;
 
-pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
+pub fn write(record: &RunRecord, folder: &Path) -> Result<(), FileError> {
     ReportPage::new(record, folder).write(&folder.join(FILE))
 }
 
@@ -77,8 +77,8 @@ impl<'a> ReportPage<'a> {
     }
 
     /// The page lists traces and baselines that cannot be read; they are not an error.
-    pub fn write(&self, path: &Path) -> Result<(), ReportError> {
-        write_file(path, &self.html())
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        write_atomically(path, self.html().as_bytes()).at(path)
     }
 
     fn html(&self) -> String {
@@ -116,7 +116,7 @@ impl<'a> ReportPage<'a> {
             }
             (script::end())
         };
-        report_page_frame(&title, &script::head(), &body)
+        page_frame(&title, &script::head(), &body)
     }
 
     fn resolution(&self) -> PlotResolution {
@@ -267,9 +267,6 @@ fn expectation_pairs<'a>(record: &'a RunRecord, other: OtherRun<'a>) -> Vec<Expe
 fn comparison_section(record: &RunRecord, other: OtherRun<'_>) -> Markup {
     let pairs = expectation_pairs(record, other);
     let changed = pairs.iter().filter(|pair| pair.verdict_changed()).count();
-    let columns =
-        ["Scenario", "Metric", "Other run", "#Other run measured", "This run", "#This run measured", "#Change"];
-    let rows = html! { @for pair in &pairs { (table_row(pair)) } };
     html! {
         section aria-labelledby="against" {
             h2 id="against" { "Comparison with the run of " (other.record.started) }
@@ -283,50 +280,41 @@ fn comparison_section(record: &RunRecord, other: OtherRun<'_>) -> Markup {
                     _ => { (changed) " verdicts differ." },
                 }
             }
-            (scroll_table("Comparison of both runs", "contents stacked", &columns, &rows))
+            (comparison_table(&pairs).html_as("Comparison of both runs", "contents stacked"))
         }
     }
 }
 
-fn table_row(pair: &ExpectationPair<'_>) -> Markup {
-    let verdict = |found: Option<&ExpectationRecord>| {
-        html! {
-            @match found {
-                Some(found) => (verdict_badge(found.verdict, &format::verdict(found))),
-                None => span.nothing { "not played" },
-            }
-        }
+fn comparison_table(pairs: &[ExpectationPair<'_>]) -> Table {
+    let number = |name: &str| Column::number(name, "");
+    let mut table = Table::new([
+        "Scenario".into(),
+        "Metric".into(),
+        "Other run".into(),
+        number("Other run measured"),
+        "This run".into(),
+        number("This run measured"),
+        number("Change"),
+    ]);
+    let verdict = |found: Option<&ExpectationRecord>| match found {
+        Some(found) => Cell::from(format::verdict(found)).with_verdict(found.verdict),
+        None => Cell::from("not played"),
     };
     let value = |found: Option<&ExpectationRecord>| {
-        let unit =
-            if found.is_some_and(|found| found.value.is_some()) { metric(pair).map_or("", format::unit) } else { "" };
-        html! {
-            @match found.and_then(format::value_or_not_reached) {
-                Some(value) => { (value) " " span.unit { (unit) } },
-                None => span.nothing { "–" },
-            }
-        }
+        let text = found.and_then(format::value_or_not_reached);
+        Cell::optional(text).with_unit(found.map_or("", format::unit_of_value))
     };
-    html! {
-        tr.changed[pair.verdict_changed()] {
-            th scope="row" {
-                @match pair.scenario_index {
-                    Some(number) => a href={ "#" (scenario_anchor(number)) } { (pair.file) },
-                    None => (pair.file),
-                }
-            }
-            td data-label="Metric" { code { (pair.name) } }
-            td data-label="Other run" { (verdict(pair.other_run)) }
-            td.number data-label="Other run measured" { span { (value(pair.other_run)) } }
-            td data-label="This run" { (verdict(pair.this_run)) }
-            td.number data-label="This run measured" { span { (value(pair.this_run)) } }
-            td.number data-label="Change" {
-                @match pair.format_change() { Some(change) => (change), None => span.nothing { "–" } }
-            }
-        }
-    }
-}
-
-fn metric(pair: &ExpectationPair<'_>) -> Option<Metric> {
-    pair.this_run.or(pair.other_run).map(|found| found.metric)
+    table.extend(pairs.iter().map(|pair| {
+        let link = pair.scenario_index.map(|number| format!("#{}", scenario_anchor(number)));
+        [
+            Cell { is_highlighted: pair.verdict_changed(), ..Cell::from(pair.file).with_link(link) },
+            Cell::code(pair.name),
+            verdict(pair.other_run),
+            value(pair.other_run),
+            verdict(pair.this_run),
+            value(pair.this_run),
+            Cell::optional(pair.format_change()),
+        ]
+    }));
+    table
 }

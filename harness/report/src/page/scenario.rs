@@ -1,17 +1,17 @@
 //! Writes the section of a scenario: expectations, figures, trials.
 
-use super::elements::{MAX_NAMED, link_to, scenario_anchor, scroll_table, trace_link, with_unit};
+use super::elements::{MAX_NAMED, link_to, scenario_anchor, trace_link};
 use super::figure::{Figure, drawings};
 use super::overview::margin_text;
 use super::script;
 use super::trace_data::TraceData;
-use crate::chart::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, extent, view_box};
-use crate::document::{Cell, Column, NOTHING, Table, verdict_badge};
 use crate::format;
 use crate::record_queries;
 use crate::text::history::TrendPoint;
 use crate::text::timing;
 use maud::{Markup, html};
+use platebench_document::chart::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, extent, view_box};
+use platebench_document::{Cell, Column, NOTHING, Table, verdict_badge};
 use platebench_model::record::{ExpectationRecord, Metric, ScenarioRecord, Statistic, TrialRecord, Verdict};
 
 /// A longer table would slow the page down.
@@ -83,68 +83,55 @@ fn interval(expectation: &ExpectationRecord) -> Option<String> {
 fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> Markup {
     let (has_paper, has_interval) = (has_paper(scenario), has_interval(scenario));
     let has_trend = trends.iter().any(|points| points.len() > 1);
+    let number = |name: &str| Column::number(name, "");
     let columns = [
-        Some("Metric"),
-        Some("Verdict"),
-        Some("#Measured"),
-        has_paper.then_some("#Paper"),
-        Some("#Expected"),
-        has_interval.then_some("#Interval"),
-        Some("#Window"),
-        has_trend.then_some("Trend"),
+        Some("Metric".into()),
+        Some("Verdict".into()),
+        Some(number("Measured")),
+        has_paper.then(|| number("Paper")),
+        Some(number("Expected")),
+        has_interval.then(|| number("Interval")),
+        Some(number("Window")),
+        has_trend.then(|| "Trend".into()),
     ];
-    let columns: Vec<&str> = columns.into_iter().flatten().collect();
-    let row = |index: usize, expectation: &ExpectationRecord| {
+    let mut table: Table = Table::new::<Column>(columns.into_iter().flatten());
+    for (index, expectation) in scenario.expectations.iter().enumerate() {
         let unit = format::unit(expectation.metric);
-        let unit_of_value = if expectation.value.is_some() { unit } else { "" };
-        html! {
-            tr {
-                th scope="row" {
-                    code { (expectation.name) }
-                    @if let Some(requirement) = &expectation.requirement { span.file { (requirement) } }
+        let value = Cell::optional(format::value_or_not_reached(expectation));
+        let value = value.with_unit(format::unit_of_value(expectation)).html();
+        let limit = Cell::from(format::limit(expectation)).with_unit(unit).html();
+        let margin = expectation.margin.filter(|_| expectation.verdict == Verdict::Pass);
+        let cells = [
+            Some(Cell::code(&*expectation.name).with_notes(expectation.requirement.clone())),
+            Some(Cell::from(format::verdict(expectation)).with_verdict(expectation.verdict)),
+            Some(Cell::default().with_markup(html! {
+                strong { (value) }
+                @if scenario.trials.len() > 1 { span.statistic { (format::statistic(expectation)) } }
+            })),
+            has_paper.then(|| Cell::optional(expectation.paper.map(format::number)).with_unit(unit)),
+            Some(Cell::default().with_markup(html! {
+                span {
+                    (limit)
+                    @if let Some(margin) = margin { span.statistic { "margin " (margin_text(margin)) } }
                 }
-                td data-label="Verdict" { (verdict_badge(expectation.verdict, &format::verdict(expectation))) }
-                td.number data-label="Measured" {
-                    strong { (with_unit(format::value_or_not_reached(expectation), unit_of_value)) }
-                    @if scenario.trials.len() > 1 { span.statistic { (format::statistic(expectation)) } }
-                }
-                @if has_paper {
-                    td.number data-label="Paper" { (with_unit(expectation.paper.map(format::number), unit)) }
-                }
-                td.number data-label="Expected" {
-                    span {
-                        (with_unit(Some(format::limit(expectation)), unit))
-                        @if let Some(margin) = expectation.margin.filter(|_| expectation.verdict == Verdict::Pass) {
-                            span.statistic { "margin " (margin_text(margin)) }
-                        }
-                    }
-                }
-                @if has_interval {
-                    td.number data-label="Interval" { (with_unit(interval(expectation), "")) }
-                }
-                td.number data-label="Window" { (with_unit(format::windows(expectation), "")) }
-                @if has_trend {
-                    td data-label="Trend" { @if let Some(points) = trends.get(index) { (trend(expectation, points)) } }
-                }
-            }
-            @if let Some(reason) = format::remaining_reason(expectation) {
-                tr.reason { td colspan=(columns.len()) { span { (reason) } } }
-            }
-            @for difference in record_queries::protocol_differences(scenario, index) {
-                tr.reason { td colspan=(columns.len()) { span { (difference) } } }
-            }
-            @if let Some(evidence) = format::evidence(expectation) {
-                tr.evidence { td colspan=(columns.len()) { span { (evidence) } } }
-            }
-        }
-    };
-    let rows = html! {
-        @for (index, expectation) in scenario.expectations.iter().enumerate() { (row(index, expectation)) }
-    };
+            })),
+            has_interval.then(|| Cell::optional(interval(expectation))),
+            Some(Cell::optional(format::windows(expectation))),
+            has_trend.then(|| {
+                let points = trends.get(index).map_or(&[][..], Vec::as_slice);
+                Cell::default().with_markup(trend(expectation, points))
+            }),
+        ];
+        table.push(cells.into_iter().flatten());
+        let differences = record_queries::protocol_differences(scenario, index).iter().cloned();
+        let reasons = format::remaining_reason(expectation).into_iter().chain(differences);
+        table.remarks.extend(reasons.map(|text| (index, "reason", text)));
+        table.remarks.extend(format::evidence(expectation).map(|text| (index, "evidence", text)));
+    }
     html! {
         h3 { "Expectations" }
         @if scenario.expectations.is_empty() { p.notice { "No expectation was judged." } }
-        @else { (scroll_table("Expectations", "expectations stacked", &columns, &rows)) }
+        @else { (table.html_as("Expectations", "expectations stacked")) }
         @if !scenario.not_applicable.is_empty() { div.notice {
             p { "Not applicable:" }
             ul { @for skipped in &scenario.not_applicable { li { code { (skipped.name) } ": " (skipped.reason) } } }

@@ -2,9 +2,9 @@
 
 use super::curves::{self, TimeGrid};
 use super::markers::{self, LimitMark, Settling, TimeMarker};
-use crate::chart::marks::Point;
-use crate::chart::time::TimeWindow;
 use crate::record_queries;
+use crate::time_chart::TimeWindow;
+use platebench_document::chart::marks::Point;
 use platebench_model::metrics::Levels;
 use platebench_model::record::{Metric, ScenarioRecord, TrialRecord, Verdict};
 use platebench_model::trace::{Column, Flags, Row, TraceError};

@@ -1,9 +1,9 @@
 //! Describes comparisons: of responses with their baseline or with another run, and of commands with
 //! those of a recording. Draws the place where a response leaves its tolerance tube, in characters.
 
-use crate::chart::marks::extent;
-use crate::document::{Block, Document};
 use crate::format;
+use platebench_document::chart::marks::extent;
+use platebench_document::{Block, Document};
 use platebench_model::quoted;
 use platebench_model::record::ViolationKind;
 use platebench_model::trace::Row;
@@ -136,7 +136,7 @@ fn difference(difference: &CommandDifference) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::Style;
+    use platebench_document::Style;
     use platebench_model::record::{Verdict, Violation};
     use platebench_model::trace::Row;
     use platebench_verdict::golden::GoldenTubes;

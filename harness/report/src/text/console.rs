@@ -1,11 +1,11 @@
 //! Writes a run for a terminal: tables, summary and progress.
 
-use crate::document::{Cell, Style, Table};
-use crate::escape::printable;
 use crate::record_queries::{CauseGroup, OwnVerdict};
 use crate::text::timing;
 use crate::{format, record_queries};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use platebench_document::{Cell, Style, Table};
+use platebench_model::printable::printable;
 use platebench_model::record::{
     Cause, CostTrend, Event, ExpectationRecord, RunRecord, ScenarioRecord, Verdict, VerdictCounts,
 };
@@ -66,15 +66,8 @@ pub fn print(text: &str, out: &mut dyn Write) -> io::Result<()> {
     }
 }
 
-/// Wrapped on a terminal only, so that programs find the whole line.
 fn write_tested(text: &mut String, record: &RunRecord, style: Style) {
-    let tested = format::tested(record);
-    match style.width {
-        Some(_) => style.write_wrapped(text, "tested: ", "  ", &tested),
-        None => {
-            let _ = writeln!(text, "tested: {tested}");
-        }
-    }
+    style.write_wrapped_on_terminals(text, "tested: ", "  ", &format::tested(record));
 }
 
 fn write_heading(text: &mut String, scenario: &ScenarioRecord, style: Style) {
@@ -165,8 +158,12 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
 
 /// Hints stand at the end, where a reader of a terminal sees them.
 fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    write_tight_steps(text, record, style, in_full);
-    write_symptoms(text, record, style, in_full);
+    let tight = record_queries::tight_steps(record).into_iter();
+    let tight: Vec<_> = tight.map(|(scenario, percent)| timing::describe_tight_step(scenario, percent)).collect();
+    write_warnings(text, &tight, "a long control step", style, in_full);
+    let symptoms = record_queries::symptoms(record)
+        .map(|(scenario, trial, symptom)| format!("{}: {}", scenario.file, format::symptom(scenario, trial, symptom)));
+    write_warnings(text, &symptoms.collect::<Vec<_>>(), "a likely cause", style, in_full);
     if record_queries::is_late_in_real_time(record) {
         let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period; with \
                     --clock lockstep time waits for each answer";
@@ -287,28 +284,15 @@ fn write_cost(text: &mut String, trends: &[CostTrend], style: Style, in_full: bo
     }
 }
 
-fn write_tight_steps(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    let tight = record_queries::tight_steps(record);
-    let listed = if in_full { tight.len() } else { MAX_LISTED };
-    for (scenario, percent) in tight.iter().take(listed) {
-        style.write_wrapped(text, "warning: ", "  ", &timing::describe_tight_step(scenario, *percent));
+/// Writes the first warnings and counts the others. `topic` names what they report.
+fn write_warnings(text: &mut String, warnings: &[String], topic: &str, style: Style, in_full: bool) {
+    let listed = if in_full { warnings.len() } else { MAX_LISTED };
+    for warning in warnings.iter().take(listed) {
+        style.write_wrapped(text, "warning: ", "  ", warning);
     }
-    if tight.len() > listed {
-        let further = format::count(tight.len() - listed, "more scenario");
-        let _ = writeln!(text, "warning: {further} with a long control step, listed with -v");
-    }
-}
-
-fn write_symptoms(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
-    let all: Vec<_> = record_queries::symptoms(record).collect();
-    let listed = if in_full { all.len() } else { MAX_LISTED };
-    for (scenario, trial, symptom) in all.iter().take(listed) {
-        let warning = format!("{}: {}", scenario.file, format::symptom(scenario, *trial, *symptom));
-        style.write_wrapped(text, "warning: ", "  ", &warning);
-    }
-    if all.len() > listed {
-        let further = format::count(all.len() - listed, "more scenario");
-        let _ = writeln!(text, "warning: {further} with a likely cause, listed with -v");
+    if warnings.len() > listed {
+        let further = format::count(warnings.len() - listed, "more scenario");
+        let _ = writeln!(text, "warning: {further} with {topic}, listed with -v");
     }
 }
 
@@ -316,12 +300,7 @@ fn write_verdict(text: &mut String, record: &RunRecord, style: Style) {
     let verdict = format!("{} {}", format::sign(record.verdict), record.verdict);
     let note = format::bench_firmware_note(record);
     let mut line = String::new();
-    match style.width {
-        Some(_) => style.write_wrapped(&mut line, "verdict: ", "  ", &format!("{verdict}{note}")),
-        None => {
-            let _ = writeln!(line, "verdict: {verdict}{note}");
-        }
-    }
+    style.write_wrapped_on_terminals(&mut line, "verdict: ", "  ", &format!("{verdict}{note}"));
     text.push_str(&line.replacen(&verdict, &style.paint_verdict(record.verdict, &verdict), 1));
 }
 

@@ -4,13 +4,12 @@
 //! ten annotations of a kind per step. GitHub rejects a summary above 1 MiB, so a table has at most
 //! `MAX_ROWS` rows.
 
-use crate::document::{Block, Document, Table};
-use crate::error::ReportError;
-use crate::escape::{workflow_message, workflow_property};
 use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
+use platebench_document::{Block, Document, Table};
+use platebench_model::printable::{printable, printable_lines};
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict, VerdictCounts};
-use platebench_model::trace::{AtPath, write_named_by_user};
+use platebench_model::trace::{AtPath, FileError, write_named_by_user};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
@@ -64,16 +63,24 @@ fn workflow_command(verdict: Verdict, location: Option<SourceLocation>, title: &
     format!("::{level} {location}title={}::{}\n", workflow_property(title), workflow_message(message))
 }
 
+fn workflow_message(text: &str) -> String {
+    printable_lines(text).replace('%', "%25").replace('\n', "%0A")
+}
+
+fn workflow_property(text: &str) -> String {
+    printable(text).replace('%', "%25").replace(':', "%3A").replace(',', "%2C")
+}
+
 const MAX_ROWS: usize = 200;
 
-pub fn write_markdown(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
-    Ok(write_named_by_user(path, render_page(record))?)
+pub fn write_markdown(record: &RunRecord, path: &Path) -> Result<(), FileError> {
+    write_named_by_user(path, render_page(record))
 }
 
 #[expect(clippy::disallowed_methods, reason = "GitHub names this file, and each step appends to it")]
-pub fn append_markdown(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
+pub fn append_markdown(record: &RunRecord, path: &Path) -> Result<(), FileError> {
     let file = fs::OpenOptions::new().append(true).create(true).open(path);
-    Ok(file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes())).at(path)?)
+    file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes())).at(path)
 }
 
 pub fn render_page(record: &RunRecord) -> String {
@@ -155,6 +162,14 @@ fn not_applicable_table(record: &RunRecord) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn escapes_hostile_text() {
+        let hostile = "=1\u{1b}[2J\u{202e}\n::error::#|";
+        assert_eq!(workflow_message(hostile), "=1\\u{1b}[2J\\u{202e}%0A::error::#|");
+        assert_eq!(workflow_property(hostile), "=1\\u{1b}[2J\\u{202e}\\n%3A%3Aerror%3A%3A#|");
+        assert_eq!([workflow_message, workflow_property].map(|escape| escape("µm ≤ 2 …")), ["µm ≤ 2 …"; 2]);
+    }
 
     #[test]
     fn no_text_ends_a_command_or_begins_another() {

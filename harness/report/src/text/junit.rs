@@ -7,28 +7,27 @@
 //! are its property `tested`, and other facts are lines in `system-out`. Times come from the
 //! record: equal records in equal folders give equal files.
 
-use crate::error::{ReportError, write_file};
-use crate::escape::printable;
 use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
+use platebench_model::printable::printable;
 use platebench_model::record::{ExpectationRecord, NotApplicable, RunRecord, ScenarioRecord, Verdict};
+use platebench_model::trace::{AtPath, FileError, write_atomically};
 use quick_junit::{NonSuccessKind, Report, TestCase, TestCaseStatus, TestSuite};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use std::{env, iter};
+use std::{env, io, iter};
 
 pub const FILE: &str = "junit.xml";
 
-pub fn write(record: &RunRecord, path: &Path) -> Result<(), ReportError> {
+pub fn write(record: &RunRecord, path: &Path) -> Result<(), FileError> {
     let folder = from_workspace(path.parent().unwrap_or(Path::new("")));
-    let text = junit_report(&record.with_traces_below(&folder))
-        .to_string()
-        .map_err(|source| ReportError::Junit { path: path.to_owned(), source })?;
+    let text = junit_report(&record.with_traces_below(&folder)).to_string().map_err(io::Error::other).at(path)?;
     let expectations: usize = record.scenarios.iter().map(|scenario| scenario.not_applicable.len()).sum();
     let skipped = record_queries::skipped_scenarios(record).len() + expectations;
     // The schema allows no attribute `skipped` of the element `testsuites`.
-    write_file(path, &text.replacen(&format!(" skipped=\"{skipped}\""), "", 1))
+    let text = text.replacen(&format!(" skipped=\"{skipped}\""), "", 1);
+    write_atomically(path, text.as_bytes()).at(path)
 }
 
 /// Path of a folder relative to the working directory, which is the workspace of a CI job. Jenkins

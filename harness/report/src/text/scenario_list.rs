@@ -1,8 +1,8 @@
 //! Lists scenarios and their expectations without playing them.
 
-use crate::document::{Block, Document, Table};
-use crate::escape::printable;
 use crate::format;
+use platebench_document::{Block, Document, Table};
+use platebench_model::printable::printable;
 use platebench_model::record::Metric;
 use platebench_model::scenario::{Aggregation, Expectation, Limit, Scenario};
 use schemars::JsonSchema;

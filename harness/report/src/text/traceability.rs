@@ -1,10 +1,10 @@
 //! Tabulates the verdicts of a run by requirement (`traceability.csv`) and, for joined runs, by board:
 //! missing shards, verdicts by scenario, and the differences between boards.
 
-use crate::document::{Block, Cell, Column, Document, Table};
-use crate::error::{ReportError, write_file};
 use crate::{format, record_queries};
+use platebench_document::{Block, Cell, Column, Document, NOTHING, Table};
 use platebench_model::record::{ExpectationRecord, MergeRecord, RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::trace::{AtPath, FileError, write_atomically};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -34,8 +34,9 @@ pub(crate) fn requirement_links(record: &RunRecord) -> Vec<RequirementLink<'_>> 
     links
 }
 
-pub fn write(record: &RunRecord, folder: &Path) -> Result<(), ReportError> {
-    write_file(&folder.join(FILE), &requirement_document(record).to_csv())
+pub fn write(record: &RunRecord, folder: &Path) -> Result<(), FileError> {
+    let path = folder.join(FILE);
+    write_atomically(&path, requirement_document(record).to_csv().as_bytes()).at(&path)
 }
 
 pub fn requirement_document(record: &RunRecord) -> Document {
@@ -96,7 +97,7 @@ fn verdict_matrix(record: &RunRecord, merge: &MergeRecord) -> Option<Table> {
     for scenario in scenarios {
         let cell = |board: &&str| match verdicts.get(&(scenario, board)) {
             Some(played) => Cell::verdict(Verdict::combine(played.iter().copied())),
-            None => Cell::from("–"),
+            None => Cell::from(NOTHING),
         };
         table.push(std::iter::once(Cell::from(scenario)).chain(boards.iter().map(cell)));
     }
@@ -108,7 +109,8 @@ fn difference_table(merge: &MergeRecord) -> Table {
     let numbers = ["difference", "95 % interval"].map(|name| Column::number(name, ""));
     let mut table = Table::new(texts.into_iter().chain(numbers));
     for found in &merge.differences {
-        let interval = found.interval.map_or_else(|| "–".to_owned(), |[low, high]| format!("{low:.4} to {high:.4}"));
+        let interval =
+            found.interval.map_or_else(|| NOTHING.to_owned(), |[low, high]| format!("{low:.4} to {high:.4}"));
         table.push(vec![
             found.scenario.clone(),
             found.metric.clone(),

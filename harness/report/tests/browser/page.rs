@@ -2,8 +2,8 @@
 
 use crate::driver::{Browser, BrowserOptions};
 use crate::fixtures;
+use platebench_document::{Block, Document, Table};
 use platebench_model::record::Verdict;
-use platebench_report::document::{Block, Document, Table};
 use platebench_report::page;
 use rstest::rstest;
 use serde_json::{Value, json};

@@ -2,8 +2,9 @@
 
 use crate::fixtures;
 use crate::hostile_text::written;
+use platebench_document::Style;
 use platebench_model::record::{ClockKind, Event, NotApplicable, Overrides, Quantiles, RunRecord, TimingRecord};
-use platebench_report::{Detail, Progress, Style, console, junit, page};
+use platebench_report::{Detail, Progress, console, junit, page};
 use rstest::rstest;
 use serde_json::json;
 

@@ -1,13 +1,14 @@
 //! Tests Markdown, annotations and JSON lines.
 
 use crate::fixtures;
+use platebench_document::Style;
 use platebench_model::record::{
     Event, MergeRecord, MissingShard, MissingValue, PlannedScenario, Reason, RunRecord, ScenarioRecord, TrialFinding,
     Verdict,
 };
 use platebench_report::events::{EventWriter, run_finished};
 use platebench_report::github::{self, SourceLocation};
-use platebench_report::{Detail, Style, console, junit, page};
+use platebench_report::{Detail, console, junit, page};
 use rstest::rstest;
 use serde_json::Value;
 use std::io::{self, Write};

@@ -1,9 +1,10 @@
 //! Tests every report with ESC, right-to-left override, a workflow command and a formula.
 
 use crate::fixtures;
+use platebench_document::Style;
 use platebench_model::record::{Event, MissingValue, Reason, RunRecord, TrialFinding};
 use platebench_report::events::{EventWriter, run_finished};
-use platebench_report::{Progress, Style, console, github, junit, page, traceability};
+use platebench_report::{Progress, console, github, junit, page, traceability};
 use rstest::rstest;
 use std::fs;
 use std::io::{self, Write};

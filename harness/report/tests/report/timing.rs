@@ -1,8 +1,9 @@
 //! Tests the summary of real-time runs in the console.
 
 use super::fixtures;
+use platebench_document::Style;
 use platebench_model::record::{Quantiles, Telemetry, TimingRecord, TrialRecord};
-use platebench_report::{Style, console};
+use platebench_report::console;
 
 fn timing() -> TimingRecord {
     TimingRecord {

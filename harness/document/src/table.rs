@@ -1,9 +1,10 @@
 //! Renders one table as aligned text, Markdown, HTML or CSV.
 
-use crate::document::style::Style;
-use crate::escape::{csv_field, markdown_cell, printable};
-use crate::format;
-use maud::{Markup, html};
+use crate::escape::{csv_field, markdown_cell};
+use crate::format::{self, NOTHING};
+use crate::style::Style;
+use maud::{Markup, PreEscaped, html};
+use platebench_model::printable::printable;
 use platebench_model::record::Verdict;
 
 /// Every row is as wide as the header.
@@ -11,6 +12,8 @@ use platebench_model::record::Verdict;
 pub struct Table {
     pub columns: Vec<Column>,
     pub rows: Vec<Vec<Cell>>,
+    /// Lines below rows on a page: index of the row, class and text.
+    pub remarks: Vec<(usize, &'static str, String)>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -41,10 +44,11 @@ pub struct Cell {
     pub unit: &'static str,
     /// True for a name or a digest.
     pub is_code: bool,
+    /// HTML in place of the text on a page. It begins with the text.
+    pub markup: Option<String>,
+    /// A page highlights the row of this cell.
+    pub is_highlighted: bool,
 }
-
-/// Text of a cell without a value.
-pub const NOTHING: &str = "–";
 
 impl Column {
     /// A column of numbers, aligned right.
@@ -78,6 +82,11 @@ impl Cell {
         Self { verdict: Some(verdict), ..Self::from(verdict.name()) }
     }
 
+    /// A dash if there is no text.
+    pub fn optional(text: Option<String>) -> Self {
+        text.map_or_else(|| NOTHING.into(), Self::from)
+    }
+
     pub fn code(text: impl Into<String>) -> Self {
         Self { is_code: true, ..Self::from(text) }
     }
@@ -85,6 +94,11 @@ impl Cell {
     #[must_use]
     pub fn with_unit(self, unit: &'static str) -> Self {
         Self { unit, ..self }
+    }
+
+    #[must_use]
+    pub fn with_markup(self, markup: Markup) -> Self {
+        Self { markup: Some(markup.into_string()), ..self }
     }
 
     #[must_use]
@@ -109,7 +123,10 @@ impl Cell {
         format!("{sign}{}{unit}", parts.join(", "))
     }
 
-    fn html(&self) -> Markup {
+    pub fn html(&self) -> Markup {
+        if let Some(markup) = &self.markup {
+            return PreEscaped(markup.clone());
+        }
         html! {
             @match (&self.link, self.verdict) {
                 (Some(link), _) => a href=(link) { (self.text) },
@@ -130,7 +147,7 @@ pub fn verdict_badge(verdict: Verdict, text: &str) -> Markup {
 
 impl Table {
     pub fn new<C: Into<Column>>(columns: impl IntoIterator<Item = C>) -> Self {
-        Self { columns: columns.into_iter().map(Into::into).collect(), rows: Vec::new() }
+        Self { columns: columns.into_iter().map(Into::into).collect(), ..Self::default() }
     }
 
     pub fn push<C: Into<Cell>>(&mut self, row: impl IntoIterator<Item = C>) {
@@ -148,7 +165,7 @@ impl Table {
         self.styled_lines(Style::default())
     }
 
-    pub fn styled_lines(&self, style: Style) -> Vec<String> {
+    fn styled_lines(&self, style: Style) -> Vec<String> {
         let row = |row: &Vec<Cell>| -> Vec<(String, Option<Verdict>)> {
             row.iter().map(|cell| (printable(&cell.line()).into_owned(), cell.verdict)).collect()
         };
@@ -173,7 +190,7 @@ impl Table {
     }
 
     /// Lines of at most `width` columns if possible: a wider table has a line per cell, as on a narrow page.
-    pub(crate) fn console_lines(&self, width: Option<usize>, style: Style) -> Vec<String> {
+    pub fn console_lines(&self, width: Option<usize>, style: Style) -> Vec<String> {
         let is_too_wide = |width: usize| self.lines().iter().any(|line| line.chars().count() > width);
         if width.is_some_and(is_too_wide) { self.stacked_lines(style) } else { self.styled_lines(style) }
     }
@@ -210,12 +227,12 @@ impl Table {
         header + &self.rows.iter().map(row).collect::<String>()
     }
 
-    pub(crate) fn html(&self) -> Markup {
+    pub fn html(&self) -> Markup {
         self.html_as("Table", "stacked")
     }
 
     /// `class` selects rules of the page's style.
-    pub(crate) fn html_as(&self, label: &str, class: &str) -> Markup {
+    pub fn html_as(&self, label: &str, class: &str) -> Markup {
         html! {
             div.scroll role="group" aria-label=(label) tabindex="0" {
                 table class=(class) {
@@ -223,14 +240,42 @@ impl Table {
                         (column.name)
                         @if !column.unit.is_empty() { ", " span.unit { (column.unit) } }
                     } } } }
-                    tbody { @for row in &self.rows { tr {
-                        @for (index, (cell, column)) in row.iter().zip(&self.columns).enumerate() {
-                            @if index == 0 { th class=[column.class()] scope="row" { (cell.html()) } }
-                            @else { td class=[column.class()] data-label=(column.label()) { (cell.html()) } }
+                    tbody { @for (number, row) in self.rows.iter().enumerate() {
+                        tr class=[row.iter().any(|cell| cell.is_highlighted).then_some("changed")] {
+                            @for (index, (cell, column)) in row.iter().zip(&self.columns).enumerate() {
+                                @if index == 0 { th class=[column.class()] scope="row" { (cell.html()) } }
+                                @else { td class=[column.class()] data-label=(column.label()) { (cell.html()) } }
+                            }
                         }
-                    } } }
+                        @for (_, class, text) in self.remarks.iter().filter(|(row, ..)| *row == number) {
+                            tr class=(class) { td colspan=(self.columns.len()) { span { (text) } } }
+                        }
+                    } }
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_shows_remarks_markup_and_highlighted_rows() {
+        let mut table = Table::new(["a", "b"]);
+        table.push([Cell::from("1"), Cell::optional(None).with_markup(html! { b { "<2>" } })]);
+        table.push([Cell { is_highlighted: true, ..Cell::from("3") }, Cell::optional(None)]);
+        table.remarks.push((0, "reason", "<why>".to_owned()));
+        let page = table.html().into_string();
+        let body = page.split_once("<tbody>").unwrap().1.split_once("</tbody>").unwrap().0;
+        assert_eq!(
+            body,
+            "<tr><th scope=\"row\">1</th><td data-label=\"b\"><b>&lt;2&gt;</b></td></tr>\
+             <tr class=\"reason\"><td colspan=\"2\"><span>&lt;why&gt;</span></td></tr>\
+             <tr class=\"changed\"><th scope=\"row\">3</th>\
+             <td data-label=\"b\"><span class=\"nothing\">–</span></td></tr>"
+        );
+        assert_eq!(table.csv(), "a,b\n1,–\n3,–\n");
     }
 }

@@ -15,12 +15,12 @@ use std::ops::Range;
 const UNITS_PER_PIXEL: f64 = 4.0;
 const TICK_LENGTH: f64 = 4.0;
 
-pub(crate) type Point = (f64, f64);
+pub type Point = (f64, f64);
 
 /// Meaning of a mark. The style sheet gives it colour, width and dashes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::EnumIter, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
-pub(crate) enum Role {
+pub enum Role {
     Text,
     Title,
     Grid,
@@ -71,11 +71,11 @@ impl From<Verdict> for Role {
 }
 
 /// Number of colours. Higher numbers of series and radii begin again with the first colour.
-pub(crate) const COLOURS: usize = 10;
+pub const COLOURS: usize = 10;
 
 impl Role {
     /// Name of the class without its prefix, which is `s-` for a stroke and `f-` for a filling.
-    pub(crate) fn name(self) -> String {
+    pub fn name(self) -> String {
         match self {
             Self::Series(number) => format!("series-{}", number % COLOURS),
             Self::Radius(number) => format!("radius-{}", number % COLOURS),
@@ -85,7 +85,7 @@ impl Role {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Mark {
+pub enum Mark {
     Line(Role, Vec<Point>),
     /// Area between an upper and a lower edge, both from left to right.
     Band(Role, [Vec<Point>; 2]),
@@ -108,13 +108,13 @@ pub(crate) enum Mark {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum AxisValue {
+pub enum AxisValue {
     X(f64),
     Y(f64),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Shape {
+pub enum Shape {
     Disc,
     Ring,
     Cross,
@@ -126,7 +126,7 @@ pub(crate) enum Shape {
 
 impl Mark {
     /// A point without a text. The radius is in CSS pixels.
-    pub(crate) const fn point(role: Role, at: Point, shape: Shape, radius: f64) -> Self {
+    pub const fn point(role: Role, at: Point, shape: Shape, radius: f64) -> Self {
         Self::Point { role, at, shape, radius, text: None }
     }
 }
@@ -143,26 +143,26 @@ const fn corners(shape: Shape) -> &'static [Point] {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Scale {
+pub enum Scale {
     Linear,
     Logarithmic,
 }
 
 /// Values and the pixels at which the first and the last of them lie.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Axis {
-    pub(crate) scale: Scale,
-    pub(crate) values: Range<f64>,
-    pub(crate) pixels: Range<f64>,
+pub struct Axis {
+    pub scale: Scale,
+    pub values: Range<f64>,
+    pub pixels: Range<f64>,
 }
 
 impl Axis {
-    pub(crate) const fn linear(values: Range<f64>, pixels: Range<f64>) -> Self {
+    pub const fn linear(values: Range<f64>, pixels: Range<f64>) -> Self {
         Self { scale: Scale::Linear, values, pixels }
     }
 
     /// Pixel of a value. A value outside the axis lies at its nearest end.
-    pub(crate) fn pixel(&self, value: f64) -> f64 {
+    pub fn pixel(&self, value: f64) -> f64 {
         let Range { start, end } = self.values;
         let share = match self.scale {
             Scale::Linear => (value - start) / (end - start),
@@ -172,7 +172,7 @@ impl Axis {
     }
 
     /// At most `most` round values: 1, 2 or 5 times a power of ten apart, or powers of ten.
-    pub(crate) fn ticks(&self, most: usize) -> Vec<f64> {
+    pub fn ticks(&self, most: usize) -> Vec<f64> {
         let Range { start, end } = self.values;
         let most = most.max(2) as f64;
         if self.scale == Scale::Logarithmic {
@@ -195,9 +195,9 @@ impl Axis {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Axes {
-    pub(crate) x: Axis,
-    pub(crate) y: Axis,
+pub struct Axes {
+    pub x: Axis,
+    pub y: Axis,
 }
 
 impl Axes {
@@ -208,20 +208,20 @@ impl Axes {
 
 /// Values of an axis with their texts. A line of the grid lies at each value if `has_grid`.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Ticks {
-    pub(crate) texts: Vec<(f64, String)>,
-    pub(crate) has_grid: bool,
+pub struct Ticks {
+    pub texts: Vec<(f64, String)>,
+    pub has_grid: bool,
 }
 
 impl Ticks {
-    pub(crate) fn new(values: Vec<f64>, has_grid: bool, text: impl Fn(f64) -> String) -> Self {
+    pub fn new(values: Vec<f64>, has_grid: bool, text: impl Fn(f64) -> String) -> Self {
         Self { texts: values.into_iter().map(|value| (value, text(value))).collect(), has_grid }
     }
 }
 
 /// End of a text that lies at its position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr)]
-pub(crate) enum TextEnd {
+pub enum TextEnd {
     #[strum(serialize = "start")]
     Left,
     #[strum(serialize = "middle")]
@@ -232,7 +232,7 @@ pub(crate) enum TextEnd {
 
 /// The elements of an SVG drawing, in drawing order.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Drawing {
+pub struct Drawing {
     elements: String,
     /// Lines and edges of areas. The text of a worst value avoids them.
     segments: Vec<[Point; 2]>,
@@ -245,19 +245,19 @@ impl Drawing {
         self.elements.push_str(&element.0);
     }
 
-    pub(crate) fn into_markup(self) -> Markup {
+    pub fn into_markup(self) -> Markup {
         PreEscaped(self.elements)
     }
 
     /// Text of 12 px, centred vertically.
-    pub(crate) fn text(&mut self, role: Role, end: TextEnd, at: Point, text: &str) {
+    pub fn text(&mut self, role: Role, end: TextEnd, at: Point, text: &str) {
         let ((x, y), anchor) = (units(at), <&str>::from(end));
         self.push(&html! {
             text x=(x) y=(y) dy="0.5ex" text-anchor=(anchor) class={ "f-" (role.name()) } { (text) }
         });
     }
 
-    pub(crate) fn line(&mut self, role: Role, points: impl IntoIterator<Item = Point>) {
+    pub fn line(&mut self, role: Role, points: impl IntoIterator<Item = Point>) {
         self.path('s', role, points);
     }
 
@@ -275,7 +275,7 @@ impl Drawing {
         self.push(&html! { rect x=(x) y=(y) width=(width) height=(height) class={ "f-" (role.name()) } {} });
     }
 
-    pub(crate) fn shape(&mut self, role: Role, shape: Shape, at: Point, radius: f64) {
+    pub fn shape(&mut self, role: Role, shape: Shape, at: Point, radius: f64) {
         let corner = |&(dx, dy): &Point| (at.0 + dx * radius, at.1 + dy * radius);
         match shape {
             Shape::Disc | Shape::Ring => {
@@ -293,7 +293,7 @@ impl Drawing {
     }
 
     /// Draws the grid, both axes and their ticks.
-    pub(crate) fn frame(&mut self, axes: &Axes, x_ticks: &Ticks, y_ticks: &Ticks) {
+    pub fn frame(&mut self, axes: &Axes, x_ticks: &Ticks, y_ticks: &Ticks) {
         let [left, right] = [axes.x.pixels.start, axes.x.pixels.end];
         let [bottom, top] = [axes.y.pixels.start, axes.y.pixels.end];
         let [columns, rows] = [(x_ticks, &axes.x), (y_ticks, &axes.y)].map(|(ticks, axis)| {
@@ -317,7 +317,7 @@ impl Drawing {
     }
 
     /// Draws marks and their texts. The texts of limits of the x axis have different heights.
-    pub(crate) fn marks<'a>(&mut self, axes: &Axes, marks: impl IntoIterator<Item = &'a Mark>) {
+    pub fn marks<'a>(&mut self, axes: &Axes, marks: impl IntoIterator<Item = &'a Mark>) {
         let mut height = LOWEST_TEXT;
         for mark in marks {
             match mark {
@@ -387,7 +387,7 @@ impl Drawing {
     }
 
     /// An SVG file with a background and the styles for light and dark. `size` is in CSS pixels.
-    pub(crate) fn into_document(self, title: &str, size: Point) -> String {
+    pub fn into_document(self, title: &str, size: Point) -> String {
         let body = html! { rect class="f-card" width="100%" height="100%" {} (self.into_markup()) };
         let style = PreEscaped(document_style(&body.0));
         let (width, height) = size;
@@ -408,7 +408,7 @@ const WORST_TEXT_RISES: [f64; 8] = [12.0, -12.0, 26.0, -26.0, 40.0, -40.0, 54.0,
 /// Share of the plot's width between a point and its text.
 const POINT_TEXT_DISTANCE: f64 = 0.015;
 /// Mean width of a character and height of a text of 12 px.
-pub(crate) const CHARACTER_WIDTH: f64 = 6.7;
+pub const CHARACTER_WIDTH: f64 = 6.7;
 const LETTER_HEIGHT: f64 = 14.0;
 
 /// End of the text at the mark, its x, and the corners of the text. Right of an early mark and left
@@ -442,7 +442,7 @@ fn crosses([start, end]: [Point; 2], [upper_left, lower_right]: [Point; 2]) -> b
 const LOWEST_TEXT: f64 = 0.12;
 const TEXT_HEIGHT: f64 = 0.1;
 
-pub(crate) fn view_box(size: Point) -> String {
+pub fn view_box(size: Point) -> String {
     let (width, height) = units(size);
     format!("0 0 {width} {height}")
 }
@@ -471,22 +471,22 @@ fn path_data(points: impl IntoIterator<Item = (i64, i64)>) -> String {
     data
 }
 
-pub(crate) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+pub fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     values.map(|value| (value, value)).reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
 }
 
-pub(crate) fn logarithmic_extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+pub fn logarithmic_extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
     extent(values.filter(|value| value.is_finite() && *value > 0.0))
 }
 
-pub(crate) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
+pub fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     let Some((low, high)) = logarithmic_extent(values) else { return 0.1..10.0 };
     let (from, to) = (low.log10().floor(), high.log10().ceil());
     10.0_f64.powf(from)..10.0_f64.powf(to.max(from + 1.0))
 }
 
 /// 1, 2 and 5 times the powers of ten in the range.
-pub(crate) fn round_ticks(range: &Range<f64>) -> Vec<f64> {
+pub fn round_ticks(range: &Range<f64>) -> Vec<f64> {
     let decades = range.start.log10().floor() as i32..=range.end.log10().ceil() as i32;
     let of_decade = |decade: i32| {
         let power = 10.0_f64.powi(decade.abs());
@@ -495,7 +495,7 @@ pub(crate) fn round_ticks(range: &Range<f64>) -> Vec<f64> {
     decades.flat_map(of_decade).filter(|tick| range.contains(tick)).collect()
 }
 
-pub(crate) fn format_power_of_ten(value: f64) -> String {
+pub fn format_power_of_ten(value: f64) -> String {
     // The conversion to a whole number removes the sign of −0.
     let digits = (value.log10().round() as i64).to_string();
     let raised = |digit| match digit {
@@ -510,7 +510,7 @@ pub(crate) fn format_power_of_ten(value: f64) -> String {
 }
 
 /// One rule per line, because `document_style` selects lines.
-pub(crate) const RULES: &str = include_str!("roles.css");
+pub const RULES: &str = include_str!("roles.css");
 
 /// Name, light value and dark value. The series have the palette of Okabe and Ito for colour-blind
 /// readers, darkened for light and lightened for dark.
@@ -556,7 +556,7 @@ const VALUES: [(&str, &str, &str); 39] = [
     ("radius-9", "#c4502c", "#dd7243"),
 ];
 
-pub(crate) fn variables() -> String {
+pub fn variables() -> String {
     let list = |value: fn(&(&str, &'static str, &'static str)) -> &'static str| {
         VALUES.iter().map(|colour| ["--", colour.0, ":", value(colour), ";"].concat()).collect::<String>()
     };
@@ -568,7 +568,7 @@ pub(crate) fn variables() -> String {
 }
 
 /// Rules for the classes that occur in `body`, with values in place of variables.
-pub(crate) fn document_style(body: &str) -> String {
+fn document_style(body: &str) -> String {
     let is_needed = |rule: &&str| {
         let class = rule.strip_prefix('.').and_then(|rule| rule.split_whitespace().next());
         class.is_none_or(|class| body.contains(&format!("class=\"{class}\"")))

@@ -1,9 +1,11 @@
 //! Draws lines, areas, spans and marks over time: figures of a page, a fitted response, and the place where a response
 //! is farthest outside its tolerance tube.
 
-use super::marks::{Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, TextEnd, Ticks, extent};
 use crate::format;
 use maud::Markup;
+use platebench_document::chart::marks::{
+    Axes, Axis, AxisValue, Drawing, Mark, Point, Role, Shape, TextEnd, Ticks, extent,
+};
 use platebench_model::trace::Row;
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 

@@ -1,6 +1,6 @@
 //! Writes coloured and wrapped lines.
 
-use crate::escape::printable;
+use platebench_model::printable::printable;
 use platebench_model::record::Verdict;
 use std::fmt::Write as _;
 
@@ -15,11 +15,11 @@ pub struct Style {
 }
 
 impl Style {
-    pub(crate) fn paint(self, code: &str, text: &str) -> String {
+    pub fn paint(self, code: &str, text: &str) -> String {
         if self.colour { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
     }
 
-    pub(crate) fn paint_verdict(self, verdict: Verdict, text: &str) -> String {
+    pub fn paint_verdict(self, verdict: Verdict, text: &str) -> String {
         let code = match verdict {
             Verdict::Pass => "32",
             Verdict::Fail => "1;31",
@@ -30,8 +30,16 @@ impl Style {
 
     /// Lines as wide as the terminal, or of at most [`WIDTH`] columns. Only a longer word gives a
     /// longer line.
-    pub(crate) fn write_wrapped(self, text: &mut String, first: &str, further: &str, sentence: &str) {
+    pub fn write_wrapped(self, text: &mut String, first: &str, further: &str, sentence: &str) {
         write_wrapped_at(self.width.unwrap_or(WIDTH), text, first, further, sentence);
+    }
+
+    /// One line without a terminal, so that programs find the whole line.
+    pub fn write_wrapped_on_terminals(self, text: &mut String, first: &str, further: &str, sentence: &str) {
+        match self.width {
+            Some(width) => write_wrapped_at(width, text, first, further, sentence),
+            None => text.extend([first, sentence, "\n"]),
+        }
     }
 }
 

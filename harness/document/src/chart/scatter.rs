@@ -1,85 +1,11 @@
-//! Draws points on two logarithmic axes: lines of points, and panels of points by colour and shape.
+//! Draws panels of points by colour and shape on two logarithmic axes.
 
 use super::marks::{
-    Axis, AxisValue, COLOURS, Mark, Point, Role, Scale, Shape, Ticks, decades, format_power_of_ten, logarithmic_extent,
+    Axis, AxisValue, Mark, Point, Role, Scale, Shape, Ticks, decades, format_power_of_ten, logarithmic_extent,
     round_ticks,
 };
 use super::panels::{LegendEntry, Panel, PanelAxis, PanelChart, Symbol};
 use std::ops::Range;
-
-/// Width and height, CSS pixels.
-const LOGLOG_PANEL: Point = (620.0, 400.0);
-const MAX_LABELS: usize = 9;
-
-#[derive(Debug, Clone, PartialEq)]
-pub struct LogLogSeries {
-    pub name: String,
-    /// Positive x and y, in the order of the line.
-    pub points: Vec<(f64, f64)>,
-    /// y of each setting without a result; drawn as a cross at the right edge.
-    pub failed: Vec<f64>,
-    pub is_highlighted: bool,
-}
-
-/// Lines of points on two logarithmic axes.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LogLogChart {
-    pub title: String,
-    pub x_label: String,
-    pub y_label: String,
-    /// The first series is drawn in front.
-    pub series: Vec<LogLogSeries>,
-    /// x and name of a dashed line.
-    pub vertical_line: Option<(f64, String)>,
-    pub failed_label: String,
-}
-
-impl LogLogChart {
-    pub fn svg(&self) -> String {
-        let line = self.vertical_line.iter();
-        let points = self.series.iter().flat_map(|series| &series.points);
-        let xs = decades(points.clone().map(|point| point.0).chain(line.clone().map(|(x, _)| *x)));
-        let failed = || self.series.iter().flat_map(|series| &series.failed);
-        let ys = decades(points.map(|point| point.1).chain(failed().copied()));
-        // The x axis has one more decade at the right for settings without a result.
-        let has_failed = failed().next().is_some();
-        let edge = xs.end * 10.0_f64.sqrt();
-        let right = if has_failed { xs.end * 10.0 } else { xs.end };
-        let x_text = |value: f64| if value > xs.end * 1.01 { String::new() } else { format_power_of_ten(value) };
-        let limit = |(x, _): &(f64, String)| Mark::Limit { role: Role::Mark, at: AxisValue::X(*x), text: None };
-        let mut marks: Vec<Mark> = line.clone().map(limit).collect();
-        for (number, series) in self.series.iter().enumerate().rev() {
-            let (role, radius) = (Role::Series(number), if series.is_highlighted { 7.0 } else { 4.0 });
-            marks.push(Mark::Line(role, series.points.clone()));
-            marks.extend(series.points.iter().map(|at| Mark::point(role, *at, disc_or_ring(number), radius)));
-            marks.extend(series.failed.iter().map(|y| Mark::point(role, (edge, *y), Shape::Cross, 5.0)));
-        }
-        let names = self.series.iter().enumerate().map(|(number, series)| {
-            LegendEntry::new(Symbol::Point(Role::Series(number), disc_or_ring(number)), &series.name)
-        });
-        let failed = has_failed.then(|| LegendEntry::new(Symbol::Point(Role::Axis, Shape::Cross), &self.failed_label));
-        let line = line.map(|(_, name)| LegendEntry::new(Symbol::Line(Role::Mark), name));
-        let x = PanelAxis::new(&self.x_label, Scale::Logarithmic, xs.start..right, |axis| {
-            Ticks::new(axis.ticks(MAX_LABELS), true, x_text)
-        });
-        let y_ticks = |axis: &Axis| Ticks::new(axis.ticks(MAX_LABELS), true, format_power_of_ten);
-        let y = PanelAxis::new(&self.y_label, Scale::Logarithmic, ys, y_ticks);
-        let chart = PanelChart {
-            title: self.title.clone(),
-            has_heading: true,
-            panel_size: LOGLOG_PANEL,
-            columns: 1,
-            panels: vec![Panel { title: String::new(), x, y, cells: Vec::new(), marks }],
-            legend: names.chain(failed).chain(line).collect(),
-        };
-        chart.svg()
-    }
-}
-
-/// Series that repeat a colour have rings.
-const fn disc_or_ring(series: usize) -> Shape {
-    if series >= COLOURS { Shape::Ring } else { Shape::Disc }
-}
 
 /// Width and height, CSS pixels.
 const SCATTER_PANEL: Point = (760.0, 340.0);
@@ -123,7 +49,7 @@ impl ScatterChart {
         let limits = self.panels.iter().flat_map(|panel| panel.x_limits.iter().map(|(x, _)| *x));
         let xs = padded_range(points().filter_map(|point| point.x).chain(limits));
         let colour = |number: usize| Symbol::Point(Role::Series(number), Shape::Disc);
-        let colours = self.colours.iter().enumerate().map(|(number, name)| LegendEntry::new(colour(number), name));
+        let colours = LegendEntry::series(self.colours.iter().map(String::as_str));
         let shapes = self.panels.iter().flat_map(|panel| panel.shapes.iter().enumerate());
         let shapes = shapes.map(|(number, name)| LegendEntry::new(Symbol::Point(Role::Shape, shape(number)), name));
         let at_edge = self.colours.iter().enumerate().filter_map(|(number, name)| {
@@ -192,53 +118,6 @@ fn padded_range(values: impl Iterator<Item = f64>) -> Range<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn loglog() -> LogLogChart {
-        LogLogChart {
-            title: "a < b".to_owned(),
-            x_label: "error".to_owned(),
-            y_label: "cost".to_owned(),
-            series: vec![
-                LogLogSeries {
-                    name: "one".to_owned(),
-                    points: vec![(1e-9, 30.0), (1e-3, 2.0)],
-                    failed: vec![],
-                    is_highlighted: true,
-                },
-                LogLogSeries { name: "two".to_owned(), points: vec![], failed: vec![5.0], is_highlighted: false },
-            ],
-            vertical_line: Some((1e-6, "limit".to_owned())),
-            failed_label: "without a result".to_owned(),
-        }
-    }
-
-    #[test]
-    fn draws_lines_crosses_and_legend() {
-        insta::assert_snapshot!(loglog().svg().replace("><", ">\n<"));
-    }
-
-    #[test]
-    fn a_long_legend_fits_and_repeated_colours_are_rings() {
-        let nameless = loglog().series.remove(1);
-        let series = (1..=17).map(|number| LogLogSeries { name: number.to_string(), ..nameless.clone() }).collect();
-        let svg = LogLogChart { series, vertical_line: None, ..loglog() }.svg();
-        let circles: Vec<&str> = svg.split("<circle").skip(1).filter_map(|rest| rest.split('>').next()).collect();
-        let count = |class: &str| circles.iter().filter(|circle| circle.contains(class)).count();
-        assert_eq!((count("class=\"f-series"), count("class=\"s-series")), (10, 7));
-        let numbers = |name: &str| {
-            let values = svg.split(name).skip(1).filter_map(|rest| rest.split('"').next());
-            values.map(|value| value.parse::<f64>().unwrap()).collect::<Vec<_>>()
-        };
-        let height = svg.split("viewBox=\"").nth(1).and_then(|rest| rest.split(['"', ' ']).nth(3)).unwrap();
-        let lowest = numbers(" cy=\"").into_iter().fold(0.0, f64::max);
-        assert!(lowest < height.parse::<f64>().unwrap(), "{lowest} {height}");
-    }
-
-    #[test]
-    fn draws_a_chart_without_points() {
-        let chart = LogLogChart { series: Vec::new(), vertical_line: None, ..loglog() };
-        assert!(!chart.svg().contains("without a result"));
-    }
 
     fn scatter_point(colour: usize, shape: usize, x: Option<f64>, y: f64) -> ScatterPoint {
         ScatterPoint { colour, shape, x, y }

@@ -14,29 +14,29 @@ const SYMBOL_WIDTH: f64 = 16.0;
 
 /// Panels of equal size.
 #[derive(Debug, Clone)]
-pub(crate) struct PanelChart {
-    pub(crate) title: String,
+pub struct PanelChart {
+    pub title: String,
     /// Draws the title above the panels.
-    pub(crate) has_heading: bool,
+    pub has_heading: bool,
     /// Width and height, CSS pixels.
-    pub(crate) panel_size: Point,
-    pub(crate) columns: usize,
-    pub(crate) panels: Vec<Panel>,
-    pub(crate) legend: Vec<LegendEntry>,
+    pub panel_size: Point,
+    pub columns: usize,
+    pub panels: Vec<Panel>,
+    pub legend: Vec<LegendEntry>,
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct Panel {
-    pub(crate) title: String,
-    pub(crate) x: PanelAxis,
-    pub(crate) y: PanelAxis,
+pub struct Panel {
+    pub title: String,
+    pub x: PanelAxis,
+    pub y: PanelAxis,
     /// Marks behind the axes.
-    pub(crate) cells: Vec<Mark>,
-    pub(crate) marks: Vec<Mark>,
+    pub cells: Vec<Mark>,
+    pub marks: Vec<Mark>,
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct PanelAxis {
+pub struct PanelAxis {
     label: String,
     scale: Scale,
     values: Range<f64>,
@@ -44,13 +44,13 @@ pub(crate) struct PanelAxis {
 }
 
 impl PanelAxis {
-    pub(crate) fn new(label: &str, scale: Scale, values: Range<f64>, ticks: impl FnOnce(&Axis) -> Ticks) -> Self {
+    pub fn new(label: &str, scale: Scale, values: Range<f64>, ticks: impl FnOnce(&Axis) -> Ticks) -> Self {
         let axis = Axis { scale, values: values.clone(), pixels: 0.0..1.0 };
         Self { label: label.to_owned(), scale, values, ticks: ticks(&axis) }
     }
 
     /// Names in the middle of intervals of length 1. At most `most` of them are written.
-    pub(crate) fn names(label: &str, names: &[String], most: usize) -> Self {
+    pub fn names(label: &str, names: &[String], most: usize) -> Self {
         let count = names.len().max(1);
         let written = names.iter().enumerate().step_by(count.div_ceil(most).max(1));
         let texts = written.map(|(number, name)| (number as f64 + 0.5, name.clone())).collect();
@@ -58,7 +58,8 @@ impl PanelAxis {
     }
 
     /// The first name is at the top of a y axis.
-    pub(crate) fn downwards(self) -> Self {
+    #[must_use]
+    pub fn downwards(self) -> Self {
         Self { values: self.values.end..self.values.start, ..self }
     }
 
@@ -68,13 +69,13 @@ impl PanelAxis {
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct LegendEntry {
+pub struct LegendEntry {
     symbol: Symbol,
     text: String,
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(crate) enum Symbol {
+pub enum Symbol {
     None,
     Area(Role),
     Line(Role),
@@ -82,8 +83,14 @@ pub(crate) enum Symbol {
 }
 
 impl LegendEntry {
-    pub(crate) fn new(symbol: Symbol, text: impl Into<String>) -> Self {
+    pub fn new(symbol: Symbol, text: impl Into<String>) -> Self {
         Self { symbol, text: text.into() }
+    }
+
+    /// The names of series, each with a disc of its colour.
+    pub fn series<'a>(names: impl IntoIterator<Item = &'a str>) -> impl Iterator<Item = Self> {
+        let symbol = |number| Symbol::Point(Role::Series(number), Shape::Disc);
+        names.into_iter().enumerate().map(move |(number, name)| Self::new(symbol(number), name))
     }
 
     fn draw(&self, drawing: &mut Drawing, (x, y): Point) {
@@ -116,7 +123,7 @@ impl PanelChart {
         (width * columns as f64, self.heading_height() + height * rows as f64)
     }
 
-    pub(crate) fn axes(&self, number: usize) -> Option<Axes> {
+    fn axes(&self, number: usize) -> Option<Axes> {
         let (panel, columns, (width, height)) = (self.panels.get(number)?, self.columns.max(1), self.panel_size);
         let left = width * (number % columns) as f64;
         let top = self.heading_height() + height * (number / columns) as f64;
@@ -125,7 +132,7 @@ impl PanelChart {
     }
 
     /// Left, top, width and height of the rectangle between two corners, as shares of the drawing.
-    pub(crate) fn area(&self, number: usize, [from, to]: [Point; 2]) -> Option<[f64; 4]> {
+    pub fn area(&self, number: usize, [from, to]: [Point; 2]) -> Option<[f64; 4]> {
         let Axes { x, y } = self.axes(number)?;
         let (width, height) = self.size();
         let ([left, right], [bottom, top]) =
@@ -154,7 +161,7 @@ impl PanelChart {
         (width, self.legend_places().last().map_or(bottom, |(_, (_, y))| y + LEGEND_LINE_HEIGHT / 2.0 + 4.0))
     }
 
-    pub(crate) fn svg(&self) -> String {
+    pub fn svg(&self) -> String {
         let mut drawing = Drawing::default();
         if self.has_heading {
             drawing.text(Role::Title, TextEnd::Left, (8.0, HEADING_HEIGHT / 2.0), &self.title);

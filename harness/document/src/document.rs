@@ -2,18 +2,15 @@
 //!
 //! A result derives `Serialize` for its JSON and builds one [`Document`] for everything that a person reads.
 
-mod style;
-mod table;
-
-pub use style::Style;
-pub use table::{Alignment, Cell, Column, NOTHING, Table, verdict_badge};
-
 use crate::chart::marks;
-use crate::error::{ReportError, write_file};
-use crate::escape::{markdown_text, printable, printable_lines};
+use crate::escape::markdown_text;
 use crate::format;
+use crate::style::{Style, write_wrapped_at};
+use crate::table::{Table, verdict_badge};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use platebench_model::printable::{printable, printable_lines};
 use platebench_model::record::Verdict;
+use platebench_model::trace::{AtPath, FileError, write_atomically};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -97,11 +94,11 @@ impl Document {
             header { h1 { (self.title) } @if !self.lead.is_empty() { p.lead { (self.lead) } } }
             main { (self.body()) }
         };
-        report_page_frame(&self.title, &html! { style { (PreEscaped(STYLE)) } }, &body)
+        page_frame(&self.title, &html! { style { (PreEscaped(STYLE)) } }, &body)
     }
 
     /// The blocks as a part of a page.
-    pub(crate) fn body(&self) -> Markup {
+    pub fn body(&self) -> Markup {
         html! { @for block in &self.blocks { (block.html()) } }
     }
 
@@ -112,7 +109,7 @@ impl Document {
     }
 
     /// The blocks as a part of a page. Each follows an empty line.
-    pub(crate) fn blocks_to_markdown(&self) -> String {
+    pub fn blocks_to_markdown(&self) -> String {
         let mut text = String::new();
         self.blocks.iter().for_each(|block| block.write_markdown(&mut text));
         text
@@ -126,8 +123,8 @@ impl Document {
     }
 
     /// Writes the page.
-    pub fn write(&self, path: &Path) -> Result<(), ReportError> {
-        write_file(path, &self.to_html())
+    pub fn write(&self, path: &Path) -> Result<(), FileError> {
+        write_atomically(path, self.to_html().as_bytes()).at(path)
     }
 }
 
@@ -169,7 +166,7 @@ impl Block {
                 let _ = writeln!(text, "{}", style.paint("1", &printable(heading)));
             }
             Self::Paragraph(sentences) => match width {
-                Some(width) => style::write_wrapped_at(width, text, "", "", sentences),
+                Some(width) => write_wrapped_at(width, text, "", "", sentences),
                 None => {
                     let _ = writeln!(text, "{}", printable(sentences));
                 }
@@ -266,11 +263,12 @@ pub fn write_chart_page(
     title: &str,
     lead: String,
     sections: &[ChartSection],
-) -> Result<PathBuf, ReportError> {
+) -> Result<PathBuf, FileError> {
     let mut blocks = Vec::new();
     for ChartSection { document, files } in sections {
         for (name, text) in files {
-            write_file(&folder.join(name), text)?;
+            let path = folder.join(name);
+            write_atomically(&path, text.as_bytes()).at(&path)?;
         }
         if document.title != title {
             blocks.push(Block::heading(&document.title));
@@ -321,14 +319,10 @@ fn percent_encode(svg: &str) -> String {
 }
 
 /// Style of every page.
-const PAGE_STYLE: &str = include_str!("page/style.css");
+const PAGE_STYLE: &str = include_str!("page.css");
 
-pub(crate) fn report_page_frame(title: &str, head: &Markup, body: &Markup) -> String {
+pub fn page_frame(title: &str, head: &Markup, body: &Markup) -> String {
     let style = format!("{}\n{}\n{PAGE_STYLE}", marks::variables(), marks::RULES);
-    page_frame(title, &style, head, body)
-}
-
-pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -349,6 +343,7 @@ pub fn page_frame(title: &str, style: &str, head: &Markup, body: &Markup) -> Str
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::table::{Cell, Column};
 
     fn document() -> Document {
         let mut table = Table::new([Column::from("<h>"), Column::number("time", "ms"), Column::from("verdict")]);
