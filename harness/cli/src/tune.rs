@@ -244,7 +244,8 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
                 out: arguments.out.as_deref(),
             };
             match verify_on_rig(rig, &config) {
-                Ok(done) => {
+                Ok(mut done) => {
+                    done.compare_with(&chosen.plate);
                     (exit, reason) = (done.exit, done.reason.clone());
                     verification = Some(done);
                 }

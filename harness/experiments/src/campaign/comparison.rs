@@ -12,7 +12,6 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::part::PartReader;
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::row::TrialRow;
-use platebench_document::format;
 use platebench_document::{Block, Column, Document, Table};
 use platebench_model::quoted;
 use platebench_model::record::Verdict;
@@ -182,7 +181,7 @@ fn difference(expectation: &Expectation, pairs: &[[f64; 2]], confidence: f64) ->
     let differences: Vec<f64> = pairs.iter().map(|[controller, reference]| controller - reference).collect();
     PairedDifference {
         expectation: expectation.name.clone(),
-        unit: format::unit(expectation.metric),
+        unit: expectation.metric.spec().unit.symbol(),
         pairs: pairs.len() as u64,
         controller_mean: mean(&|pair| pair[0]),
         reference_mean: mean(&|pair| pair[1]),

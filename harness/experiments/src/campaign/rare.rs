@@ -17,7 +17,7 @@ use rand_chacha::rand_core::SeedableRng;
 use schemars::JsonSchema;
 use serde::Serialize;
 use subsets::{ScaledTrials, estimate_by_subsets};
-use trials::Trials;
+use trials::{Trials, norm};
 
 pub(crate) use trials::Play;
 
@@ -38,11 +38,12 @@ fn estimate_from(dimensions: usize, seed: u64, total: u64, trials: &mut Trials<'
     let scales = trials.play(&vec![0.0; dimensions])?;
     let (points, is_complete) = find_design_points(&scales, total / SEARCH_PART, trials, dimensions)?;
     if let Ok(found) = estimate_by_mixture(dimensions, &points, total, &mut random, trials)? {
-        let index = found.indices.first().copied();
-        let regions = match (&*found.indices, index) {
-            ([], _) | (_, None) => "no region was located".to_owned(),
-            ([_], Some(index)) => format!("one region at β = {index:.3}"),
-            (regions, Some(index)) => format!("{} components, the nearest at β = {index:.3}", regions.len()),
+        // The centre of a component is the mean of its failing points and lies behind the design point.
+        let index = trials.failing.iter().map(|point| norm(point)).min_by(f64::total_cmp);
+        let regions = match (found.regions, index) {
+            (0, _) | (_, None) => "no region was located".to_owned(),
+            (1, Some(index)) => format!("one region at β = {index:.3}"),
+            (regions, Some(index)) => format!("{regions} components, the nearest at β = {index:.3}"),
         };
         let left_out = if is_complete { "" } else { "; the design points of some expectations were not searched" };
         return Some(ChainEstimate {
@@ -53,7 +54,7 @@ fn estimate_from(dimensions: usize, seed: u64, total: u64, trials: &mut Trials<'
             ceiling: found.ceiling,
             method: RareMethod::ImportanceSampling,
             reason: format!("{regions}{left_out}"),
-            reliability_index: index.filter(|_| found.indices.len() == 1),
+            reliability_index: index.filter(|_| found.regions == 1),
             trials: total,
         });
     }
@@ -113,7 +114,8 @@ pub struct ChainEstimate {
     pub ceiling: f64,
     pub method: RareMethod,
     pub reason: String,
-    /// Norm β of the design point, if there is only one.
+    /// Smallest norm β of a failing trial, if there is only one region. It is the norm of the design
+    /// point, or little above it.
     pub reliability_index: Option<f64>,
     pub trials: u64,
 }

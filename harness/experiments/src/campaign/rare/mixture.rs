@@ -189,8 +189,8 @@ pub(super) struct MixtureEstimate {
     pub(super) effective_samples: f64,
     /// Upper bound at 95 % if no trial failed.
     pub(super) ceiling: f64,
-    /// Smallest norm of the centres first, one per region.
-    pub(super) indices: Vec<f64>,
+    /// Number of components at failing regions.
+    pub(super) regions: usize,
 }
 
 /// No failing point was found. Trials are left.
@@ -268,14 +268,12 @@ impl Rounds {
         let mean = sum / count;
         let variance = (squares / count - mean * mean).max(0.0) / (count - 1.0);
         let largest_weight = mixture.safety[0].share.recip();
-        let mut indices: Vec<f64> = mixture.regions.iter().map(|region| norm(&region.centre)).collect();
-        indices.sort_by(f64::total_cmp);
         MixtureEstimate {
             probability: mean,
             coefficient_of_variation: if mean > 0.0 { variance.sqrt() / mean } else { f64::INFINITY },
             effective_samples: if mean > 0.0 { sum * sum / squares } else { 0.0 },
             ceiling: (largest_weight * NONE_SEEN / count).min(1.0),
-            indices,
+            regions: mixture.regions.len(),
         }
     }
 }

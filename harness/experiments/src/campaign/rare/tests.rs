@@ -222,6 +222,22 @@ fn intervals_of_27_of_30_seeds_contain_the_probability(#[case] cases: &[(Limit, 
     }
 }
 
+#[rstest]
+#[case(Limit::Linear(2.0), 1, 2.0)]
+#[case(Limit::Linear(4.0), 1, 4.0)]
+#[case(Limit::Linear(3.0), 5, 3.0)]
+#[case(Limit::Curved(4.0, 0.1), 3, 4.0)]
+fn the_reliability_index_is_the_norm_of_the_design_point(
+    #[case] limit: Limit,
+    #[case] dimensions: usize,
+    #[case] exact: f64,
+) {
+    for seed in 0..10 {
+        let index = run(limit, dimensions, seed, 2_048).reliability_index.unwrap();
+        assert!((exact..exact * 1.02).contains(&index), "{limit:?} in {dimensions}, seed {seed}: {index}");
+    }
+}
+
 /// Plays no trial in the wide component that fails, so that only subset simulation remains.
 const FAR: (Limit, usize) = (Limit::Uniform(1e-7), 10);
 
