@@ -11,6 +11,8 @@ use clap::{Args, Command, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use platebench_design::margins::result::MarginReport;
 #[cfg(feature = "export")]
+use platebench_experiments::campaign::comparison::CampaignComparison;
+#[cfg(feature = "export")]
 use platebench_experiments::campaign::{RawCampaign, summary::CampaignResult};
 use platebench_experiments::explore::{ExploreReport, RawEnvelope};
 use platebench_experiments::trust::TrustReport;
@@ -112,6 +114,9 @@ pub(crate) enum SchemaKind {
     /// summary.json of a campaign
     #[cfg(feature = "export")]
     Summary,
+    /// comparison.json of two campaigns
+    #[cfg(feature = "export")]
+    CampaignComparison,
     /// explore.json
     Exploration,
     /// suite trust --format json
@@ -173,6 +178,10 @@ impl SchemaKind {
             Self::Margins => schema::schema_of_json::<MarginReport>("Measured margins: stability --rig --format json"),
             #[cfg(feature = "export")]
             Self::Summary => schema::schema_of_json::<CampaignResult<'_>>("Result of a campaign: summary.json"),
+            #[cfg(feature = "export")]
+            Self::CampaignComparison => schema::schema_of_json::<CampaignComparison>(
+                "Paired differences of controllers: comparison.json of a campaign",
+            ),
             Self::Exploration => schema::schema_of_json::<ExploreReport>("Result of an exploration: explore.json"),
             Self::Trust => schema::schema_of_json::<TrustReport>("Kill rate of a suite: suite trust --format json"),
             Self::Session => schema::schema_of_json::<SessionRecord>("Acceptance session: session.json"),

@@ -156,14 +156,14 @@ class Serial:
 #[case::confirms_and_uses_1_05_of_them(["set_gains(kp_a, ki_a", "set_gains(1.05 * kp_a, 1.05 * ki_a"], 0, "accepted the gains")]
 #[case::confirms_and_uses_1_5_of_them(["set_gains(kp_a, ki_a", "set_gains(1.5 * kp_a, 1.5 * ki_a"], 1, "may not use the gains")]
 fn a_controller_that_ignores_the_gains_is_an_error(
-    #[case] [original, changed]: [&str; 2],
+    #[case] change: [&str; 2],
     #[case] expected: i32,
     #[case] message: &str,
 ) {
     let folder = TestFolder::new();
     fs::copy(workspace_root().join("docs/examples/controller.py"), folder.join("mine.py")).unwrap();
-    if !original.is_empty() {
-        folder.replace("mine.py", original, changed);
+    if !change[0].is_empty() {
+        folder.replace("mine.py", change[0], change[1]);
     }
     folder.write("serial.py", SERIAL);
     run_tune(&folder, &["--send", "exec:python3 mine.py {port}", "--out", "run"]).assert_text(expected, &[message]);
