@@ -4,8 +4,8 @@
 //! same scene and the same noise. The difference of such a pair has less scatter than the values
 //! themselves. A mean difference has the interval of Student's t distribution, as the mean of a
 //! [scenario's](platebench_verdict::statistics::mean_bounds) trials. The share of failing trials is
-//! compared by the pairs with different verdicts alone (Q. McNemar, *Psychometrika* 12, 1947,
-//! pp. 153-157), with the exact interval of Clopper and Pearson.
+//! compared by the pairs with different verdicts alone (*Psychometrika* 12, 1947, pp. 153-157), with
+//! the exact interval of Clopper and Pearson.
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
@@ -319,7 +319,7 @@ impl PairComparison {
         let header = listed.then(|| Column::from("values")).into_iter().chain([Column::from("expectation")]);
         let mut table = Table::new(header.chain(numbers.map(|name| Column::number(name, ""))));
         for tally in tallies {
-            let values = tally.values.as_ref().map(|values| values.to_string());
+            let values = tally.values.as_ref().map(ToString::to_string);
             table.extend(tally.differences.iter().map(|difference| {
                 let PairedDifference { expectation: name, unit, pairs, interval, .. } = difference;
                 let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.4}"));
@@ -356,7 +356,7 @@ mod tests {
     fn a_difference_has_no_scatter_that_both_trials_share() {
         let pair = |trial: u64| {
             let shared = 1.5 + (trial * 37 % 20) as f64 / 20.0;
-            let own = if trial % 2 == 0 { 0.11 } else { 0.09 };
+            let own = if trial.is_multiple_of(2) { 0.11 } else { 0.09 };
             [shared + own, shared].map(|value| row(trial, value, Verdict::Pass))
         };
         let unreached = [row(40, f64::NAN, Verdict::Fail), row(40, 1.5, Verdict::Pass)];
