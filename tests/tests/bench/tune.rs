@@ -153,8 +153,16 @@ class Serial:
 #[rstest]
 #[case::takes_them(["", ""], 0, "accepted the gains")]
 #[case::keeps_its_own(["tuple(gains) if bits & 1 else ()", "()"], 2, ", expected those sent: ")]
-#[case::confirms_and_uses_1_05_of_them(["Loop(kp_a, ki_a", "Loop(1.05 * kp_a, 1.05 * ki_a"], 0, "accepted the gains")]
-#[case::confirms_and_uses_1_2_of_them(["Loop(kp_a, ki_a", "Loop(1.2 * kp_a, 1.2 * ki_a"], 1, "may not use the gains")]
+#[case::confirms_and_uses_1_05_of_them(
+    ["Loop(kp_a, ki_a", "Loop(1.05 * kp_a, 1.05 * ki_a"],
+    0,
+    "accepted the gains"
+)]
+#[case::confirms_and_uses_1_2_of_them(
+    ["Loop(kp_a, ki_a", "Loop(1.2 * kp_a, 1.2 * ki_a"],
+    1,
+    "may not use the gains"
+)]
 fn a_controller_that_ignores_the_gains_is_an_error(
     #[case] change: [&str; 2],
     #[case] expected: i32,

@@ -11,7 +11,9 @@ use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
 use crate::campaign::part::PartReader;
 use crate::campaign::plan::CampaignPlan;
+use crate::campaign::results::with_unit;
 use crate::campaign::row::TrialRow;
+use platebench_document::format::with_decimals;
 use platebench_document::{Block, Column, Document, Table};
 use platebench_model::quoted;
 use platebench_model::record::Verdict;
@@ -67,7 +69,7 @@ impl ComparedController {
     }
 }
 
-#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, JsonSchema)]
 pub struct PairedTally {
     /// Listed values of a cell.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -113,19 +115,8 @@ struct Pairs {
 
 impl Pairs {
     fn new(campaign: &Campaign) -> Self {
-        let tally = PairedTally {
-            values: None,
-            trials: 0,
-            only_controller_fails: 0,
-            only_reference_fails: 0,
-            both_fail: 0,
-            inconclusive: 0,
-            not_applicable: 0,
-            failing_share_difference: None,
-            failing_share_interval: None,
-            differences: Vec::new(),
-        };
-        Self { values: vec![Vec::new(); campaign.template.scenario.expectations.len()], tally }
+        let expectations = campaign.template.scenario.expectations.len();
+        Self { values: vec![Vec::new(); expectations], tally: PairedTally::default() }
     }
 
     fn add(&mut self, controller: &TrialRow, reference: &TrialRow) {
@@ -322,12 +313,14 @@ impl PairComparison {
             let values = tally.values.as_ref().map(ToString::to_string);
             table.extend(tally.differences.iter().map(|difference| {
                 let PairedDifference { expectation: name, unit, pairs, interval, .. } = difference;
-                let number = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |value| format!("{value:.4}"));
-                let name = if unit.is_empty() { name.clone() } else { format!("{name}, {unit}") };
                 let [low, high] = interval.map_or([None; 2], |ends| ends.map(Some));
                 let numbers =
                     [difference.controller_mean, difference.reference_mean, difference.mean_difference, low, high];
-                values.clone().into_iter().chain([name, pairs.to_string()]).chain(numbers.map(number))
+                values
+                    .clone()
+                    .into_iter()
+                    .chain([with_unit(name, unit), pairs.to_string()])
+                    .chain(numbers.map(|value| with_decimals(value, 4)))
             }));
         }
         table

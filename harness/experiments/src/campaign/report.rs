@@ -4,7 +4,7 @@
 use crate::campaign::distribution::Variable;
 use crate::campaign::error::CampaignError;
 use crate::campaign::passing_region::PassingRegion;
-use crate::campaign::results::{CSV_FILE, PARQUET_FILE, axis_label};
+use crate::campaign::results::{CSV_FILE, PARQUET_FILE, axis_label, with_unit};
 use crate::campaign::row::{Tally, TrialRow, margin_text};
 use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
@@ -153,9 +153,7 @@ fn maps(summary: &Summary<'_>, links: &ResponseLinks) -> Vec<Block> {
     ];
     let expectations = summary.campaign.template.scenario.expectations.iter().take(MAX_VALUE_MAPS);
     for (index, expectation) in expectations.enumerate() {
-        let unit = expectation.metric.spec().unit.symbol();
-        let title =
-            [&*expectation.name, unit].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ");
+        let title = with_unit(&expectation.name, expectation.metric.spec().unit.symbol());
         figures.push(figure(format!("mean {title}"), HeatScale::Range, &|cell| cell.mean(index)));
     }
     let mut blocks = vec![Block::heading("Maps")];

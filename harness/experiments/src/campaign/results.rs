@@ -50,10 +50,12 @@ pub fn unit_of_key(key: &str) -> &'static str {
 
 /// Key and unit.
 pub(crate) fn axis_label(variable: &Variable) -> String {
-    match unit_of_key(&variable.key) {
-        "" => variable.key.clone(),
-        unit => format!("{}, {unit}", variable.key),
-    }
+    with_unit(&variable.key, unit_of_key(&variable.key))
+}
+
+/// The name alone if `unit` is empty.
+pub(crate) fn with_unit(name: &str, unit: &str) -> String {
+    if unit.is_empty() { name.to_owned() } else { format!("{name}, {unit}") }
 }
 
 pub(crate) struct ResultsWriter<'a> {
