@@ -314,3 +314,46 @@ impl SceneResult<'_> {
         marks
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_model::record::Telemetry;
+    use platebench_model::scenario::load;
+    use platebench_verdict::{judge, measure};
+    use std::path::Path;
+
+    /// Draws a line per scene, with differences of the models `linear` and `modal`.
+    fn svg(scenes: &[(Model, [f64; 2], bool)]) -> String {
+        let file = "paper/fig13-closed-loop.toml";
+        let scenario = load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file), file).unwrap();
+        let measures = measure(&scenario, 0, &[], &Telemetry::default());
+        let record = judge(&scenario, &[measures]).expectations.remove(0);
+        let scenarios: Vec<Scenario> =
+            scenes.iter().map(|(model, ..)| Scenario { model: *model, ..scenario.clone() }).collect();
+        let results = scenarios.iter().zip(scenes).map(|(scenario, (_, differences, is_changed))| {
+            let models = [Model::Linear, Model::Modal].into_iter().zip(differences).map(|(model, difference)| {
+                let metric = MetricResult { own: &record, reference: &record, difference: *difference };
+                ModelResult { model, is_changed: *is_changed && model == Model::Linear, metrics: vec![metric] }
+            });
+            SceneResult { scenario, models: models.collect() }
+        });
+        difference_chart(&results.collect::<Vec<_>>()).svg()
+    }
+
+    #[test]
+    fn draws_marks_limits_rings_and_legend() {
+        let svg = svg(&[(Model::Modal, [2e-2, 0.0], true), (Model::Linear, [2e-2, 0.0], false)]);
+        // One ring in the legend and one per line, in the colour of the scenario's model.
+        let rings = |colour: usize| svg.matches(&format!("class=\"s-series-{colour}\"")).count();
+        assert_eq!((rings(0), rings(2)), (2, 1), "{svg}");
+        insta::assert_snapshot!(svg.replace("><", ">\n<"));
+    }
+
+    #[test]
+    fn draws_charts_without_lines_and_without_numbers() {
+        assert!(svg(&[]).contains(">a tenth of the tolerance<"));
+        let odd = svg(&[(Model::Modal, [f64::INFINITY, f64::NAN], false)]);
+        assert!(odd.contains(">paper/fig13-closed-loop<") && !odd.contains("NaN"), "{odd}");
+    }
+}
