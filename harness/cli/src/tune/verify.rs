@@ -48,7 +48,7 @@ pub(super) struct RigVerification {
 }
 
 /// Largest relative difference of the measured peak drive from the prediction, in lockstep. The
-/// firmware's own law stays within 0.1 %, on plates with converters within some percent.
+/// firmware's own law stays within 0.1 % (`docs/tuning.md`, validation).
 const MAX_DRIVE_DIFFERENCE: f64 = 0.1;
 
 impl RigVerification {
