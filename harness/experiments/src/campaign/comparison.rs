@@ -74,6 +74,9 @@ pub struct PairedTally {
     /// Listed values of a cell.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub values: Option<Value>,
+    /// The listed values, for people; empty for all trials.
+    #[serde(skip)]
+    pub cell: String,
     /// Trials that both controllers passed or failed. Only these are compared.
     pub trials: u64,
     pub only_controller_fails: u64,
@@ -207,10 +210,11 @@ pub fn compare(folders: &[LabelledFolder<'_>]) -> Result<CampaignComparison, Cam
                 cell.add(row, other);
             }
         }
-        let cells = cells
-            .into_iter()
-            .enumerate()
-            .map(|(number, cell)| PairedTally { values: Some(campaign.cell_values(number)), ..cell.finish(&campaign) });
+        let cells = cells.into_iter().enumerate().map(|(number, cell)| PairedTally {
+            values: Some(campaign.cell_values(number)),
+            cell: campaign.cell_text(number, |_| true),
+            ..cell.finish(&campaign)
+        });
         Ok(PairComparison {
             controller: ComparedController::new(controller, &plan),
             reference: ComparedController::new(reference, &reference_plan),
@@ -304,20 +308,19 @@ impl PairComparison {
     }
 
     fn table(&self, tallies: &[PairedTally]) -> Table {
-        let listed = tallies.iter().any(|tally| tally.values.is_some());
+        let has_cells = tallies.iter().any(|tally| tally.values.is_some());
         let [label, reference] = [&self.controller.label, &self.reference.label];
         let numbers = ["pairs", label, reference, "difference", "from", "to"];
-        let header = listed.then(|| Column::from("values")).into_iter().chain([Column::from("expectation")]);
+        let header = has_cells.then(|| Column::from("values")).into_iter().chain([Column::from("expectation")]);
         let mut table = Table::new(header.chain(numbers.map(|name| Column::number(name, ""))));
         for tally in tallies {
-            let values = tally.values.as_ref().map(ToString::to_string);
+            let cell = has_cells.then(|| tally.cell.clone());
             table.extend(tally.differences.iter().map(|difference| {
                 let PairedDifference { expectation: name, unit, pairs, interval, .. } = difference;
                 let [low, high] = interval.map_or([None; 2], |ends| ends.map(Some));
                 let numbers =
                     [difference.controller_mean, difference.reference_mean, difference.mean_difference, low, high];
-                values
-                    .clone()
+                cell.clone()
                     .into_iter()
                     .chain([with_unit(name, unit), pairs.to_string()])
                     .chain(numbers.map(|value| with_decimals(value, 4)))

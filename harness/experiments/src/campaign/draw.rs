@@ -161,6 +161,14 @@ impl Campaign {
         choices
     }
 
+    /// The selected listed values of the cell, for people.
+    pub(crate) fn cell_text(&self, cell: usize, is_selected: impl Fn(&Variable) -> bool) -> String {
+        let choices = self.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
+        let texts =
+            choices.map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(choice as f64)));
+        texts.collect::<Vec<_>>().join(", ")
+    }
+
     /// Listed values of the cell by their keys.
     pub(crate) fn cell_values(&self, cell: usize) -> Value {
         let choices = self.cell_choices(cell).into_iter();

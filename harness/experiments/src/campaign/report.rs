@@ -196,7 +196,7 @@ impl Layout<'_> {
                 choices.iter().find(|(variable, _)| is_axis(variable)).map_or(0, |(_, choice)| *choice)
             };
             let (column, row) = (choice(&is_x), choice(&is_y));
-            let title = choice_texts(summary, number, |variable| !is_x(variable) && !is_y(variable)).join(", ");
+            let title = summary.campaign.cell_text(number, |variable| !is_x(variable) && !is_y(variable));
             let panels = &mut places.panels;
             let panel = panels.iter().position(|panel| panel.title == title).unwrap_or_else(|| {
                 let (x, y, values, passes) = (x.clone(), y.clone(), values.clone(), passes.clone());
@@ -228,14 +228,9 @@ impl Places {
     fn links(&self, summary: &Summary<'_>, figure: &HeatFigure, links: &ResponseLinks) -> Vec<AreaLink> {
         let link = |(number, (cell, (panel, column, row))): (usize, (&Tally, &(usize, usize, usize)))| {
             let href = links.get(&cell.worst_trial).filter(|_| cell.trials > 0)?.link.clone();
-            let title = format!("{}; trial {}", choice_texts(summary, number, |_| true).join(", "), cell.worst_trial);
+            let title = format!("{}; trial {}", summary.campaign.cell_text(number, |_| true), cell.worst_trial);
             Some(AreaLink { area: figure.cell_area(*panel, *column, *row)?, href, title })
         };
         summary.cells.iter().zip(&self.cells).enumerate().filter_map(link).collect()
     }
-}
-
-fn choice_texts(summary: &Summary<'_>, cell: usize, is_selected: impl Fn(&Variable) -> bool) -> Vec<String> {
-    let choices = summary.campaign.cell_choices(cell).into_iter().filter(|(variable, _)| is_selected(variable));
-    choices.map(|(variable, choice)| format!("{} {}", variable.short_name(), variable.text(choice as f64))).collect()
 }
