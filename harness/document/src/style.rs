@@ -28,7 +28,7 @@ impl Style {
         self.paint(code, text)
     }
 
-    /// Lines as wide as the terminal, or of at most [`WIDTH`] columns. Only a longer word gives a
+    /// Lines as wide as the terminal, or of at most 100 columns. Only a longer word gives a
     /// longer line.
     pub fn write_wrapped(self, text: &mut String, first: &str, further: &str, sentence: &str) {
         write_wrapped_at(self.width.unwrap_or(WIDTH), text, first, further, sentence);
