@@ -28,6 +28,9 @@ const TRIAL_PERIODS: u32 = 400;
 const WINDOW_PERIODS: u32 = 40;
 /// Half width of the settling band as a share of the setpoint.
 const BAND: f64 = 0.05;
+/// Longest loop delay with which a missed expectation is attributed to an own law, as a share of the control period.
+/// A loop that settles in two periods (τ of a third of it) loses 9° of phase by it.
+const OWN_LAW_DELAY: f64 = 0.1;
 /// Relative deviation from the setpoint at which the response counts as diverged.
 const DIVERGED: f64 = 10.0;
 
@@ -191,8 +194,11 @@ pub(crate) fn measure_trial(
     let Some((typical, longest)) = delay else { return measures };
     excuse_loop_delay(scenario, &mut measures);
     let missed: Vec<usize> = missed_expectations(scenario, &measures).collect();
-    // The bench cannot simulate an own law.
-    if missed.is_empty() || scenario.has_own_law() {
+    if missed.is_empty() {
+        return measures;
+    }
+    if scenario.has_own_law() {
+        excuse_own_law(scenario, index, longest, &missed, &mut measures);
         return measures;
     }
     let simulate = |delay| simulate_trial(scenario, law, index, delay);
@@ -241,6 +247,22 @@ fn excuse_loop_delay(scenario: &Scenario, measures: &mut TrialMeasures) {
         if expectation.metric == Metric::LoopDelay && !is_met(expectation, measure) {
             *excuse = Some(Excuse::RealTimeDelay);
         }
+    }
+}
+
+/// The bench cannot simulate an own law, so it does not know which delay such a law tolerates.
+fn excuse_own_law(scenario: &Scenario, index: u32, longest: Time, missed: &[usize], measures: &mut TrialMeasures) {
+    let limit = scenario.controller.period.seconds() * OWN_LAW_DELAY;
+    if longest.seconds() <= limit {
+        return;
+    }
+    for number in missed {
+        let Some(excuse) = measures.excuses.get_mut(*number) else { continue };
+        excuse.get_or_insert(Excuse::OwnLawDelay {
+            trial: index,
+            longest_us: longest.seconds() * 1e6,
+            limit_us: limit * 1e6,
+        });
     }
 }
 
@@ -346,6 +368,18 @@ mod tests {
     #[test]
     fn does_not_excuse_a_controller_worse_than_the_law() {
         assert_eq!(excuse(LawId::OpenLoop, 1.0), None);
+    }
+
+    #[test]
+    fn excuses_an_own_law_above_a_tenth_of_the_period() {
+        let mut scenario = scenario("paper/fig13-closed-loop.toml");
+        scenario.set_law("own");
+        let rows = simulate_rows(&scenario, LawId::OpenLoop, 0).unwrap();
+        let excuse =
+            |delay_us| measure_trial(&scenario, LawId::DqPi, 0, &rows, &telemetry(delay_us)).excuses[0].clone();
+        assert_eq!(excuse(100.0), None);
+        let expected = Excuse::OwnLawDelay { trial: 0, longest_us: 101.0, limit_us: 100.0 };
+        assert_eq!(excuse(101.0).as_ref().map(Excuse::to_string), Some(expected.to_string()));
     }
 
     #[test]

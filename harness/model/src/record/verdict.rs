@@ -211,6 +211,12 @@ pub enum Excuse {
         value(*undelayed)
     )]
     LoopDelay { trial: u32, typical_us: f64, longest_us: f64, delayed: Option<f64>, undelayed: Option<f64> },
+    #[error(
+        "trial {trial}: the loop delay was up to {longest_us:.0} µs, more than a tenth of the control period \
+         ({limit_us:.0} µs), and the bench cannot compute its effect on an own law; --clock lockstep decides, and a \
+         slower --time-scale makes the delay smaller"
+    )]
+    OwnLawDelay { trial: u32, longest_us: f64, limit_us: f64 },
     #[error("in real time the loop delay includes line and bench, not the controller alone")]
     RealTimeDelay,
 }
@@ -220,7 +226,7 @@ impl Excuse {
         match self {
             Self::SetpointOutOfReach { .. } | Self::DriveLimited { .. } => Cause::Infeasible,
             Self::SaturatedRealPlate { .. } => Cause::Evidence,
-            Self::LoopDelay { .. } | Self::RealTimeDelay => Cause::Rig,
+            Self::LoopDelay { .. } | Self::OwnLawDelay { .. } | Self::RealTimeDelay => Cause::Rig,
         }
     }
 }
