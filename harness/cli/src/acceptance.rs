@@ -18,7 +18,7 @@ use platebench_lab::acceptance::{
 use platebench_lab::boards::{BoardOutcome, Inventory, RunsBelow};
 use platebench_model::printable::printable;
 use platebench_model::quoted_path;
-use platebench_model::record::Verdict;
+use platebench_model::record::{RunOutcome, Verdict};
 use platebench_report::{Progress, ProgressKind};
 use platebench_rig::RigSpec;
 use std::path::{Path, PathBuf};
@@ -147,8 +147,7 @@ fn run_session(arguments: &SessionArgs, quiet: bool) -> CommandResult {
 fn report_end(result: Result<SessionRecord, AcceptError>, signal: Option<u8>, folder: &Path, quiet: bool) -> Exit {
     match result {
         Ok(record) => {
-            let lost = record.lost_a_controller();
-            let exit = if lost { Exit::Unreachable } else { Exit::of_verdict(record.verdict) };
+            let exit = Exit::from(RunOutcome::of(record.verdict, record.lost_a_controller(), true));
             if exit.is_hidden(quiet, OutputFormat::Human) {
                 return exit;
             }
@@ -243,17 +242,15 @@ fn reason(record: &SessionRecord) -> String {
         let evidence = if evidence.is_empty() { "no evidence".to_owned() } else { evidence.join(", ") };
         format!("{} ({evidence})", requirement.id)
     });
-    let reasons: Vec<String> = lost.into_iter().chain(requirements).collect();
-    if !reasons.is_empty() {
-        return reasons.join("; ");
-    }
-    let open = record.steps.iter().filter(|step| step.verdict.is_some_and(|verdict| verdict != Verdict::Pass));
-    let steps: Vec<_> =
-        open.map(|step| format!("step {}: {}", step.id, step.reason.as_deref().unwrap_or("it did not pass"))).collect();
+    // A step may concern no requirement.
+    let is_explained = record.requirements.iter().any(|requirement| requirement.verdict == record.verdict);
+    let steps = record.steps.iter().filter(|step| !is_explained && step.verdict == Some(record.verdict));
+    let steps = steps.map(|step| format!("step {}: {}", step.id, step.reason.as_deref().unwrap_or("it did not pass")));
+    let reasons: Vec<String> = lost.into_iter().chain(steps).chain(requirements).collect();
     match record.verdict {
+        _ if !reasons.is_empty() => reasons.join("; "),
         Verdict::Pass => "every requirement is met".to_owned(),
-        _ if steps.is_empty() => "a step was not done; the record names it".to_owned(),
-        _ => steps.join("; "),
+        _ => "a step was not done; the record names it".to_owned(),
     }
 }
 

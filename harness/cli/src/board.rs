@@ -15,7 +15,7 @@ use platebench_lab::boards::{
     SoakScenario, clear, document, list, soak,
 };
 use platebench_model::quoted_path;
-use platebench_model::record::Overrides;
+use platebench_model::record::{Overrides, RunOutcome};
 use platebench_report::{Detail, page};
 use platebench_rig::{ConnectOptions, RigSpec};
 use std::path::{Path, PathBuf};
@@ -247,11 +247,8 @@ fn run_soak(arguments: &SoakArgs, detail: Detail) -> CommandResult {
 }
 
 fn exit_of(record: &SoakRecord) -> Exit {
-    if matches!(record.end, Some(SoakEnd::Lost | SoakEnd::Unsafe)) {
-        Exit::Unreachable
-    } else {
-        Exit::of_verdict(record.verdict)
-    }
+    let (lost, safe) = (record.end == Some(SoakEnd::Lost), record.end != Some(SoakEnd::Unsafe));
+    RunOutcome::of(record.verdict, lost, safe).into()
 }
 
 fn soak_reason(record: &SoakRecord) -> String {

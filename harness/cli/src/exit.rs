@@ -29,13 +29,7 @@ pub(crate) enum Exit {
 
 impl Exit {
     pub(crate) fn of_record(record: &RunRecord) -> Self {
-        match Assessment::of(record).outcome {
-            RunOutcome::Passed => Self::Passed,
-            RunOutcome::Failed => Self::Failed,
-            RunOutcome::Inconclusive => Self::Inconclusive,
-            RunOutcome::NothingToRun => Self::NothingToRun,
-            RunOutcome::Unreachable => Self::Unreachable,
-        }
+        Assessment::of(record).outcome.into()
     }
 
     pub(crate) fn of_verdict(verdict: Verdict) -> Self {
@@ -125,6 +119,18 @@ impl Exit {
             Self::NothingToRun => 4,
             Self::Unreachable => 5,
             Self::Signal(number) => 128 + number,
+        }
+    }
+}
+
+impl From<RunOutcome> for Exit {
+    fn from(outcome: RunOutcome) -> Self {
+        match outcome {
+            RunOutcome::Passed => Self::Passed,
+            RunOutcome::Failed => Self::Failed,
+            RunOutcome::Inconclusive => Self::Inconclusive,
+            RunOutcome::NothingToRun => Self::NothingToRun,
+            RunOutcome::Unreachable => Self::Unreachable,
         }
     }
 }

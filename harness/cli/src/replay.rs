@@ -8,7 +8,7 @@ use crate::stdio;
 use clap::Args;
 use platebench_engine::replay::{ReplayError, ReplayInput, read_recorded_trace, read_telemetry_table, replay as play};
 use platebench_model::external_csv::ColumnMapping;
-use platebench_model::record::Verdict;
+use platebench_model::record::RunOutcome;
 use platebench_report::comparison::replay_document;
 use platebench_rig::{CancelToken, ConnectOptions, RigSpec};
 use platebench_verdict::replay::ReplayResult;
@@ -69,8 +69,7 @@ fn read_input(arguments: &ReplayArgs) -> Result<ReplayInput, ReplayError> {
 }
 
 fn exit_of(result: &ReplayResult) -> Exit {
-    let is_unsafe = result.verdict == Verdict::Inconclusive && !result.safe_confirmed;
-    if result.rig_lost || is_unsafe { Exit::Unreachable } else { Exit::of_verdict(result.verdict) }
+    RunOutcome::of(result.verdict, result.rig_lost, result.safe_confirmed).into()
 }
 
 impl From<ReplayError> for Failure {

@@ -39,8 +39,8 @@ use platebench_document::format::count;
 use platebench_engine::{Clock, FirmwareDigest, Pacing, Question, QuestionKind, RunError};
 use platebench_model::quoted;
 use platebench_model::record::{
-    self, Firmware, Host, InputRecord, RigRecord, RunRecord, Tool, Verdict, sha256, sha256_of_file, to_hex,
-    utc_timestamp,
+    self, Assessment, Firmware, Host, InputRecord, RigRecord, RunOutcome, RunRecord, Tool, Verdict, sha256,
+    sha256_of_file, to_hex, utc_timestamp,
 };
 use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
 use platebench_report::{console, scripts_not_played, traceability};
@@ -199,7 +199,7 @@ impl<'a> SessionRunner<'a> {
         platebench_report::page::write(&record, folder)?;
         traceability::write(&record, folder)?;
         step.run_sha256 = Some(run_sha256(folder)?);
-        step.lost = record.has_lost_controller() || record.safe_confirmed == Some(false);
+        step.lost = Assessment::of(&record).outcome == RunOutcome::Unreachable;
         step.verdict = Some(record.verdict);
         let expectations: Vec<_> = record.scenarios.iter().flat_map(|scenario| &scenario.expectations).collect();
         let passed = expectations.iter().filter(|expectation| expectation.verdict == Verdict::Pass).count();

@@ -254,6 +254,22 @@ fn a_crash_fails_campaign_exploration_and_replay() {
     replayed.assert_text(1, &["exit status 3"]);
 }
 
+/// As in a run, although the program did not confirm 0 V.
+#[test]
+fn a_crash_fails_soak_and_acceptance() {
+    let folder = TestFolder::with_step(&format!("{ANSWERED}\nrequirement = \"R-1\""));
+    let change = Change::Message { kind: "SAMPLE", action: "sys.exit(3)" };
+    let Some(rig) = controller(&folder, change) else { return };
+    folder.write("boards.toml", &inventory(&[("left", format!("rig = {rig:?}"))]));
+    let soak = ["board", "soak", "--board", "left", "--hours", "0.0000001", "--out", "soak"];
+    folder.bench(soak).assert_exit(1).assert_stdout(&["exit status 3"]);
+    let plan = "title = \"A session\"\nrepetitions = 1\n[[requirement]]\nid = \"R-1\"\ntext = \"It settles.\"\n\
+                [[scenario]]\nfile = \"scenarios/s.toml\"\n[bench]\ntiming_trials = 1\nclean_runs = 2\n";
+    folder.write("plan.toml", plan);
+    let session = ["acceptance", "run", "--plan", "plan.toml", "--out", "record", "--rig", &rig, "--yes"];
+    folder.bench(session).assert_exit(1).assert_stdout(&["exit status 3"]);
+}
+
 #[test]
 fn a_program_may_end_after_it_confirmed_0_v() {
     let text = step_scenario("aluminium-198x138", "", "", ANSWERED);

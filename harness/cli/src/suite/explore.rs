@@ -10,7 +10,7 @@ use clap::Args;
 use platebench_experiments::explore::session::{ExploreSession, ProgressEvent};
 use platebench_experiments::explore::{Envelope, ExploreError, report};
 use platebench_model::quoted_path;
-use platebench_model::record::{RunFolder, Verdict};
+use platebench_model::record::{RunFolder, RunOutcome};
 use platebench_model::scenario::find;
 use platebench_report::Detail;
 use platebench_rig::{CancelToken, RigSpec};
@@ -91,8 +91,7 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
     let is_empty = report.scenes == 0 && report.regressions == 0;
     let exit = || match report.verdict {
         _ if is_empty => Exit::NothingToRun,
-        Verdict::Inconclusive if !report.safe_confirmed => Exit::Unreachable,
-        verdict => Exit::of_verdict(verdict),
+        verdict => RunOutcome::of(verdict, false, report.safe_confirmed).into(),
     };
     let exit = signal.map_or_else(exit, Exit::Signal);
     let lost = stop.filter(|_| signal.is_none());

@@ -8,7 +8,7 @@ use crate::campaign::bench_error::OWN_ORIGINS;
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
-use platebench_model::record::{Cause, Verdict};
+use platebench_model::record::{Cause, RunOutcome, Verdict};
 use platebench_model::scenario::Expectation;
 use platebench_verdict::statistics::clopper_pearson;
 use platebench_verdict::statistics::{Look, plan_looks};
@@ -360,7 +360,8 @@ impl ShardEnd {
     /// True if the rig counts as lost, by the rule of `platebench run`: a failure of the controller
     /// also explains a missing confirmation of 0 V.
     pub fn is_lost(self, has_failure: bool) -> bool {
-        self.lost || (self.unconfirmed && !self.driven && !has_failure)
+        let verdict = if has_failure || self.driven { Verdict::Fail } else { Verdict::Inconclusive };
+        RunOutcome::of(verdict, self.lost, !self.unconfirmed) == RunOutcome::Unreachable
     }
 
     /// `None` if all controllers ended well.

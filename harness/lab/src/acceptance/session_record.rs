@@ -112,7 +112,7 @@ pub struct StepRecord {
     /// Reason if the step did not pass, else a short summary of its result.
     pub reason: Option<String>,
     pub attempts: Vec<Attempt>,
-    /// True if the controller was lost or did not confirm 0 V.
+    /// True if the controller was lost, or did not confirm 0 V and no failure explains it.
     pub lost: bool,
     /// SHA-256 of the step's `run.json`, hexadecimal.
     pub run_sha256: Option<String>,

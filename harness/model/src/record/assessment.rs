@@ -68,10 +68,14 @@ impl RunOutcome {
         }
     }
 
-    const fn of_verdict(verdict: Verdict) -> Self {
+    /// Outcome of everything that one command played. `lost` is true if the rig lost a controller. A
+    /// failure explains a controller that did not confirm 0 V, such as a program that crashed.
+    pub const fn of(verdict: Verdict, lost: bool, safe_confirmed: bool) -> Self {
         match verdict {
-            Verdict::Pass => Self::Passed,
+            _ if lost => Self::Unreachable,
             Verdict::Fail => Self::Failed,
+            _ if !safe_confirmed => Self::Unreachable,
+            Verdict::Pass => Self::Passed,
             Verdict::Inconclusive => Self::Inconclusive,
         }
     }
@@ -104,13 +108,10 @@ impl<'a> Assessment<'a> {
         } else {
             combine_runs(judged.map(|scenario| scenario.verdict), inconclusive.is_none())
         };
-        let unsafe_end = verdict == Verdict::Inconclusive && record.safe_confirmed == Some(false);
         let outcome = if record.scenarios.is_empty() && verdict != Verdict::Fail {
             RunOutcome::NothingToRun
-        } else if record.has_lost_controller() || unsafe_end {
-            RunOutcome::Unreachable
         } else {
-            RunOutcome::of_verdict(verdict)
+            RunOutcome::of(verdict, record.has_lost_controller(), record.safe_confirmed != Some(false))
         };
         Self { verdict, outcome, scenarios, inconclusive }
     }
