@@ -4,7 +4,8 @@ mod measured;
 
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{
-    OutputFormat, job_count, law_names, parse_force_n, parse_number, parse_positive_ms, parse_setpoint_um, rig_help,
+    OutputFormat, job_count, law_names, parse_force_n, parse_number, parse_positive_ms, parse_reply_timeout,
+    parse_setpoint_um, rig_help,
 };
 use crate::selection::warn_of_plate;
 use crate::stdio;
@@ -22,6 +23,7 @@ use platebench_model::trace::create_folder;
 use platebench_rig::RigSpec;
 use platebench_wire::LawId;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 const PLATE: &str = "scenarios/plates/aluminium-198x138.toml";
 const HIGHEST_DELAY_US: f64 = 12e3;
@@ -57,6 +59,9 @@ pub(crate) struct StabilityArgs {
     /// Also measure the bench's laws on this rig, for comparison
     #[arg(long, value_name = "RIG", requires = "rig")]
     reference: Option<RigSpec>,
+    /// Time to wait for a reply over a line before it counts as missed, ms
+    #[arg(long, value_name = "MS", default_value = "500", requires = "rig", value_parser = parse_reply_timeout)]
+    reply_timeout: Duration,
     /// Scenario with the step and the expectations; default:
     /// scenarios/paper/fig13-closed-loop.toml
     #[arg(long, value_name = "FILE", requires = "rig")]
@@ -177,6 +182,7 @@ mod tests {
             jobs: Some(1),
             rig: None,
             reference: None,
+            reply_timeout: Duration::from_millis(500),
             scenario: None,
             requirement: None,
             margins: Vec::new(),

@@ -12,7 +12,7 @@ use crate::rejudge::{RejudgeError, apply_overrides, load_stored_scenario, read_t
 use crate::trial::{TrialAbort, check_configuration, configure, law, law_number};
 use platebench_model::external_csv::{ColumnMapping, Dialect, ExternalCsvError, TelemetryTable, read_rows};
 use platebench_model::record::{ClockKind, RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord};
-use platebench_model::scenario::{Diagnostic, Scenario, load};
+use platebench_model::scenario::{Diagnostic, OWN_LAW, Scenario, load};
 use platebench_model::trace::{
     AtPath as _, FileError, Flags, MAX_TABLE_BYTES, Row, TraceError, open_regular_file, read_trace,
 };
@@ -20,6 +20,7 @@ use platebench_plate::Time;
 use platebench_rig::{CancelToken, FaultInjector, RigError, SafeEnd};
 use platebench_verdict::replay::{Recording, RecordingEnd, Replay, ReplayCommand, ReplayResult, ReplayStep};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Sample};
+use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -35,15 +36,21 @@ pub fn replay(
     let law = law(&input.scenario).map_err(|unknown| ReplayError::Scenario(Box::new(unknown)))?;
     let link = connect().map_err(RunError::from)?;
     let session = RigSession::open_cancellable(FaultInjector::new(link), cancel).map_err(RunError::from)?;
-    if let Some(reason) = missing_capability(&input.scenario, law, session.identity()) {
+    let mut scenario = Cow::Borrowed(&input.scenario);
+    // As in a run, a controller that announces no law has one of its own.
+    if session.identity().laws == 0 && !input.has_requested_law {
+        scenario.to_mut().set_law(OWN_LAW);
+    }
+    let scenario = &*scenario;
+    if let Some(reason) = missing_capability(scenario, law, session.identity()) {
         return Err(ReplayError::NotApplicable(reason));
     }
-    let law = law_number(&input.scenario, law, session.identity());
+    let law = law_number(scenario, law, session.identity());
     let firmware = session.firmware_name();
     let mut player = Player {
         session,
-        controller: ControllerLog::new(&input.scenario, law),
-        scenario: &input.scenario,
+        controller: ControllerLog::new(scenario, law),
+        scenario,
         replies: Vec::with_capacity(input.recording.steps.len()),
         last: Time::ZERO,
     };
@@ -52,7 +59,7 @@ pub fn replay(
         Err(TrialAbort::Cancelled) => return Err(RunError::Cancelled.into()),
         Err(TrialAbort::Lost(error)) => {
             if matches!(error, RigError::ConfigurationRejected(_)) {
-                check_configuration(&input.scenario, law)?;
+                check_configuration(scenario, law)?;
             }
             Some(error)
         }
@@ -147,7 +154,7 @@ impl Player<'_> {
         Replay {
             rig: rig.to_owned(),
             firmware,
-            law: law.name(),
+            law: if self.scenario.has_own_law() { OWN_LAW } else { law.name() },
             replies: self.replies,
             telemetry,
             rig_lost: lost.is_some_and(|error| !is_controller_failure(error)),
@@ -171,6 +178,8 @@ pub struct ReplayInput {
     pub scenario: Scenario,
     /// Form of the table. `None` for a trace.
     pub dialect: Option<Dialect>,
+    /// True if the user and not the recording selected the law.
+    pub has_requested_law: bool,
 }
 
 impl ReplayInput {
@@ -178,6 +187,7 @@ impl ReplayInput {
     pub fn with_law(mut self, law: Option<&str>) -> Self {
         if let Some(name) = law {
             self.scenario.set_law(name);
+            self.has_requested_law = true;
         }
         self
     }
@@ -261,7 +271,7 @@ fn from_rows(trace: &Path, rows: &[Row], scenario: Scenario, clock: ClockKind) -
     }
     let recording = Recording { name: trace.display().to_string(), steps, end };
     check_recording(trace, &recording, period_s)?;
-    Ok(ReplayInput { recording, scenario, dialect: None })
+    Ok(ReplayInput { recording, scenario, dialect: None, has_requested_law: false })
 }
 
 pub(super) fn missing_sample(previous_s: f64, at_s: f64, period_s: f64) -> Option<RecordingEnd> {
@@ -358,7 +368,7 @@ pub fn read_telemetry_table(
     }
     let recording = Recording { name, steps, end };
     check_recording(table, &recording, period_s)?;
-    Ok(ReplayInput { recording, scenario, dialect: Some(dialect) })
+    Ok(ReplayInput { recording, scenario, dialect: Some(dialect), has_requested_law: false })
 }
 
 #[derive(Debug, thiserror::Error)]

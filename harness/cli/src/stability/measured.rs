@@ -36,6 +36,7 @@ pub(super) fn measure(arguments: &StabilityArgs, rig: &RigSpec) -> CommandResult
         requirement: arguments.requirement.clone(),
         quantities: quantities(arguments),
         jobs: job_count(arguments.jobs),
+        reply_timeout: arguments.reply_timeout,
     };
     // Refuses values that no scenario can have before the rig is started.
     search.cases(arguments.laws.first().map_or(OWN_LAW, |law| law))?;
@@ -124,6 +125,7 @@ struct MarginSearch {
     requirement: Option<String>,
     quantities: Vec<Quantity>,
     jobs: usize,
+    reply_timeout: Duration,
 }
 
 impl MarginSearch {
@@ -160,7 +162,8 @@ impl MarginSearch {
         ends: &SafeEnds,
         on_progress: &mut dyn FnMut(usize, usize),
     ) -> Result<(Vec<CaseMargins>, Vec<String>), MarginError> {
-        let options = ConnectOptions { cancel: cancel.clone(), ..ConnectOptions::default() };
+        let options =
+            ConnectOptions { cancel: cancel.clone(), reply_timeout: self.reply_timeout, ..ConnectOptions::default() };
         let connect = || rig.connect_with(&options);
         let announces_none = laws.is_empty() && identify(&connect, ends, cancel)?.laws == 0;
         let default = if announces_none { OWN_LAW } else { &self.template.scenario.controller.law };
