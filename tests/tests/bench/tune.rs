@@ -1,6 +1,7 @@
 //! Tests `platebench tune`: predictions against the firmware, and gains written into scenarios.
 
 use crate::test_folder::{PLATE, ProgramOutput, SETTLING, TestFolder, step_scenario, step_text, workspace_root};
+use platebench_model::record::Verdict;
 use rstest::rstest;
 use serde_json::Value;
 use std::fs;
@@ -161,7 +162,7 @@ class Serial:
 #[case::confirms_and_uses_1_2_of_them(
     ["Loop(kp_a, ki_a", "Loop(1.2 * kp_a, 1.2 * ki_a"],
     1,
-    "may not use the gains"
+    "fail: drive_peak_vpp: "
 )]
 fn a_controller_that_ignores_the_gains_is_an_error(
     #[case] change: [&str; 2],
@@ -176,6 +177,9 @@ fn a_controller_that_ignores_the_gains_is_an_error(
     folder.write("serial.py", SERIAL);
     run_tune(&folder, &["--send", "exec:python3 mine.py {port}", "--out", "run"]).assert_text(expected, &[message]);
     assert_eq!(folder.exists("run"), expected != 2);
+    if expected != 2 {
+        assert_eq!(folder.record("run").verdict == Verdict::Pass, expected == 0);
+    }
 }
 
 fn commented_scenario(controller: &str) -> String {
