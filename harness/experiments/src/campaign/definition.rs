@@ -469,9 +469,12 @@ mod tests {
     use super::*;
 
     fn faults_of(varied: usize) -> Vec<Diagnostic> {
-        let folder = tempfile::tempdir().unwrap();
         let line = |number: usize| format!("\"profile.key_{number}\" = {{ uniform = [1.0, 0.0] }}\n");
-        let vary: String = (0..varied).map(line).collect();
+        faults_in(&(0..varied).map(line).collect::<String>())
+    }
+
+    fn faults_in(vary: &str) -> Vec<Diagnostic> {
+        let folder = tempfile::tempdir().unwrap();
         let text =
             format!("title = \"x\"\nscenario = \"none.toml\"\n[plan]\nmethod = \"random\"\ntrials = 1\n[vary]\n{vary}");
         let path = folder.path().join("campaign.toml");
@@ -487,6 +490,17 @@ mod tests {
         let last = faults.last().unwrap().to_string();
         let line = MAX_VARIED + 6;
         assert!(last.contains(&format!("campaign.toml:{line}:")) && last.contains("profile.key_199"), "{last}");
+    }
+
+    #[test]
+    fn a_number_out_of_bounds_is_named_at_its_line() {
+        let vary = "\"plate.mode.gain_um_per_vpp\" = { uniform = [1.0, 2.0] }\n\
+                    \"plate.mode.time_constant_ms\" = { normal = { mean = 1.0, sd = 0.0 } }\n\
+                    \"profile.finger_force_n\" = { steps = [0.0, nan, 3] }";
+        let faults: Vec<_> = faults_in(vary).iter().map(ToString::to_string).collect();
+        let found = |place: &str| faults.iter().any(|fault| fault.contains(place));
+        assert!(found("campaign.toml:8:63: `sd`: 0, expected"), "{faults:?}");
+        assert!(found("campaign.toml:9:44: `steps`: NaN, expected"), "{faults:?}");
     }
 
     #[test]

@@ -191,15 +191,24 @@ fn unit_symbol(unit: &str) -> &str {
 }
 
 fn span_of_key(document: &DeTable<'_>, key: &str) -> Range<usize> {
-    let mut names = key.split('.');
-    let first = names.next().and_then(|name| document.get(name));
-    let values = std::iter::successors(first, |value| {
-        let name = names.next()?;
-        match value.get_ref() {
-            DeValue::Table(table) => table.get(name),
-            DeValue::Array(array) => name.parse::<usize>().ok().and_then(|index| array.get(index)),
+    let (mut span, mut found) = (0..0, find_entry(document, key));
+    while let Some((value, rest)) = found {
+        span = value.span();
+        found = match value.get_ref() {
+            DeValue::Table(table) => find_entry(table, rest),
+            DeValue::Array(array) => {
+                let (index, rest) = rest.split_once('.').unwrap_or((rest, ""));
+                index.parse().ok().and_then(|index: usize| Some((array.get(index)?, rest)))
+            }
             _ => None,
-        }
-    });
-    values.last().map_or(0..0, Spanned::span)
+        };
+    }
+    span
+}
+
+/// The value of the first names of `key`, and the other names. A name in the file may contain dots,
+/// as below `[vary]`.
+fn find_entry<'a, 'i, 'k>(table: &'a DeTable<'i>, key: &'k str) -> Option<(&'a Spanned<DeValue<'i>>, &'k str)> {
+    let mut ends = key.match_indices('.').map(|(end, _)| end).chain([key.len()]);
+    ends.find_map(|end| Some((table.get(key.get(..end)?)?, key.get(end + 1..).unwrap_or(""))))
 }
