@@ -21,6 +21,7 @@ use platebench_report::FitChart;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use schemars::JsonSchema;
 use serde::Serialize;
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -122,6 +123,13 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     let mut files = Vec::new();
     for path in &arguments.recordings {
         collect_tables(path, &mut files)?;
+    }
+    // A second copy adds no evidence.
+    let mut known = HashSet::new();
+    if let Some(path) = files.iter().find(|path| !known.insert(path.canonicalize().unwrap_or_else(|_| (*path).clone())))
+    {
+        let path = quoted_path(path);
+        return Err(Failure::invalid(&format!("{path} is named twice, expected each recording once")));
     }
     if files.is_empty() {
         return Err(Failure::new(

@@ -103,6 +103,14 @@ const NM_AS_UM: &str = "time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=d:um,wq=q:um";
 const SWAPPED: &str = "time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=q:nm,wq=d:nm";
 
 #[test]
+fn a_recording_counts_once() {
+    let folder = TestFolder::new();
+    write_telemetry(&folder);
+    let twice = ["identify", "t.csv", "./t.csv", "--columns", NM];
+    folder.bench(twice).assert_message(2, &["./t.csv is named twice, expected each recording once"]);
+}
+
+#[test]
 fn impossible_estimates_write_no_plate_file() {
     let folder = TestFolder::new();
     write_telemetry(&folder);
