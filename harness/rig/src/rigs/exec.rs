@@ -62,7 +62,7 @@ pub enum ExecError {
     Quoting(String),
     #[error("`{0}` contains no program, expected a program and its arguments")]
     Empty(String),
-    #[error("`{0}` has no {{port}}, the placeholder for the path of the controller's serial port")]
+    #[error("`{0}` has no argument with {{port}}, the placeholder for the path of the controller's serial port")]
     NoPortPlaceholder(String),
     #[error("cannot start `{program}`: {error}{}", folder_hint(program))]
     Start { program: String, error: std::io::Error },

@@ -15,7 +15,7 @@ fn start_error(command: &str) -> (String, bool) {
 #[test]
 fn rejects_a_command_that_cannot_start() {
     let cases = [
-        ("python3 controller.py", "`python3 controller.py` has no {port}, the placeholder"),
+        ("python3 controller.py", "`python3 controller.py` has no argument with {port}, the placeholder"),
         ("'a {port}", "`'a {port}` cannot be split into words"),
         ("/there/is/no-program {port}", "cannot start `/there/is/no-program`: No such file"),
         ("/dev/null {port}", "cannot start `/dev/null`: Permission denied"),
