@@ -12,6 +12,7 @@ use platebench_rig::{EmulatedLink, Link};
 use platebench_wire::{Command, LawId, Message, Packet, PacketReader};
 use qemu::Qemu;
 use recorded_trials::{RecordedExchange, RecordedTrial};
+use rstest::rstest;
 
 /// Number of exchanges per write. They fill only a small part of the image's receive buffer.
 const EXCHANGES_PER_WRITE: usize = 64;
@@ -78,12 +79,12 @@ fn samples(trials: &[RecordedTrial]) -> usize {
     trials.iter().map(|trial| trial.exchanges.len()).sum()
 }
 
-#[test]
-fn paper_scenarios_give_equal_bits_on_all_targets() {
+#[rstest]
+fn paper_scenarios_give_equal_bits_on_all_targets(#[values(0, 1, 2)] part: usize) {
     let Some(mut qemu) = Qemu::start_if_installed() else { return };
     let mut emulated = EmulatedLink::built_in().unwrap();
     let mut count = 0;
-    for law in LawId::ALL {
+    for law in LawId::ALL.into_iter().skip(part).step_by(3) {
         let trials = recorded_trials::record_paper_scenarios(law);
         assert!(trials.len() >= 20, "{} trials under {}", trials.len(), law.name());
         for trial in &trials {
@@ -92,7 +93,7 @@ fn paper_scenarios_give_equal_bits_on_all_targets() {
         }
         count += samples(&trials);
     }
-    assert!(count >= 10_000, "only {count} exchanges");
+    assert!(count >= 3_000, "only {count} exchanges");
     qemu.finish().unwrap();
 }
 
