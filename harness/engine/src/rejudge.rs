@@ -238,7 +238,8 @@ fn rejudge_scenario(
             break;
         }
     }
-    let Judgement { verdict, expectations } = judge_at_time_limit(scenario, &measures, stored.time_limit_s);
+    let judgement = judge_at_time_limit(scenario, &measures, stored.time_limit_s);
+    let Judgement { verdict, expectations } = judgement.with_bench_errors(scenario);
     let (trials, time_limit_s) = (records, stored.time_limit_s);
     let record = empty_record(scenario, stored.inputs.clone());
     Ok(ScenarioRecord { verdict, expectations, trials, time_limit_s, ..record })

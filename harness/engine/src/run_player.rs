@@ -126,7 +126,8 @@ impl<'a> RunPlayer<'a> {
             let played = play.played.into_inner().unwrap_or_else(PoisonError::into_inner);
             if !played.is_judged {
                 let judgement = judge(play.scenario, &played.measures);
-                recorder.finish_scenario(number, judgement, played.records, None).into_iter().for_each(&mut *on_event);
+                let event = recorder.finish_scenario(number, play.scenario, judgement, played.records, None);
+                event.into_iter().for_each(&mut *on_event);
             }
         }
         recorder
@@ -276,7 +277,7 @@ impl<'a> RunPlayer<'a> {
             self.stop.store(true, Ordering::Relaxed);
         }
         info!(scenario = %scenario.file, verdict = %judgement.verdict, "scenario judged");
-        let event = self.recorder().finish_scenario(number, judgement, records, time_limit_s);
+        let event = self.recorder().finish_scenario(number, scenario, judgement, records, time_limit_s);
         event.map(emit);
         Ok(())
     }

@@ -37,11 +37,13 @@ impl RunRecorder {
     pub(crate) fn finish_scenario(
         &mut self,
         number: usize,
+        scenario: &Scenario,
         judgement: Judgement,
         mut trials: Vec<TrialRecord>,
         time_limit_s: Option<f64>,
     ) -> Option<Event> {
         let record = self.record.scenarios.get_mut(number)?;
+        let judgement = judgement.with_bench_errors(scenario);
         trials.sort_by_key(|trial| trial.index);
         (record.verdict, record.expectations) = (judgement.verdict, judgement.expectations);
         (record.trials, record.time_limit_s) = (trials, time_limit_s);

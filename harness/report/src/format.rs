@@ -318,6 +318,7 @@ mod tests {
             statistic: Statistic::Worst,
             limit: Limit::AtMost(2.0),
             margin: None,
+            bench_error: None,
             interval: None,
             confidence: None,
             cause: None,

@@ -143,7 +143,7 @@ fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'
 }
 
 /// True if a slower `--time-scale` or `--clock lockstep` may decide an expectation.
-/// [`Excuse::LoopDelay`] says so itself.
+/// [`Excuse::LoopDelay`] and [`Excuse::OwnLawDelay`] say so themselves.
 pub(crate) fn is_late_in_real_time(record: &RunRecord) -> bool {
     let is_late = |expectation: &ExpectationRecord| {
         matches!(
@@ -396,6 +396,7 @@ mod tests {
             statistic: Statistic::Mean,
             limit: Limit::AtMost(1.0),
             margin: None,
+            bench_error: None,
             interval: None,
             confidence: None,
             cause: None,

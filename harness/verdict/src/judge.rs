@@ -10,6 +10,7 @@ mod over_trials;
 use crate::metrics::Measure;
 use crate::statistics::{Look, clopper_pearson, plan_looks, widen_bounds};
 use crate::trial::TrialMeasures;
+use crate::uncertainty::QuantityBudget;
 use over_trials::{Containment, Outcome, OverTrials, all_equal, containment, exceedance};
 use platebench_model::metrics::{TrialRule, UndefinedValue};
 use platebench_model::record::{
@@ -87,6 +88,19 @@ fn judge_at_look(scenario: &Scenario, trials: &[TrialMeasures], look: Look, time
     Judgement { verdict: Verdict::combine(expectations.iter().map(|expectation| expectation.verdict)), expectations }
 }
 
+impl Judgement {
+    /// States the bench's own error of each value. It changes no verdict, so a search judges without it.
+    #[must_use]
+    pub fn with_bench_errors(mut self, scenario: &Scenario) -> Self {
+        for (record, expectation) in self.expectations.iter_mut().zip(&scenario.expectations) {
+            let value = record.value.filter(|_| record.evidence.observed.is_none());
+            record.bench_error =
+                value.and_then(|value| QuantityBudget::of_bench(scenario, expectation).own_standard(value));
+        }
+        self
+    }
+}
+
 fn sorted_by_index(trials: &[TrialMeasures]) -> Cow<'_, [TrialMeasures]> {
     if trials.is_sorted_by_key(|trial| trial.index) {
         return Cow::Borrowed(trials);
@@ -137,6 +151,7 @@ impl ExpectationJudge<'_> {
             statistic: outcome.statistic,
             limit: self.expectation.limit,
             margin: value.and_then(|value| self.expectation.margin(value)).filter(|margin| margin.is_finite()),
+            bench_error: None,
             interval: outcome.interval.filter(|ends| ends.iter().all(|end| end.is_finite())),
             confidence: outcome.confidence,
             cause: outcome.cause,

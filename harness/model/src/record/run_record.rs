@@ -5,7 +5,7 @@ use crate::record::trial_record::CostTrend;
 use crate::record::trial_record::TrialRecord;
 use crate::record::verdict::{Cause, Verdict, VerdictCounts};
 use crate::scenario::NotApplicableExpectation;
-use platebench_plate::is_default;
+use platebench_plate::{Model, is_default};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -129,6 +129,11 @@ impl ScenarioRecord {
         Path::new(&self.inputs.get(1)?.file).file_stem()?.to_str()
     }
 
+    /// What the plate model contains, and why the scene was played with it.
+    pub fn model_description(&self) -> Option<&'static str> {
+        Model::from_name(&self.model).map(Model::description)
+    }
+
     /// Key of an expectation in the metrics of a trial. The first expectation of a metric has its
     /// name, the second has the suffix `[2]`. Empty if there is no expectation `index`.
     pub fn metric_key(&self, index: usize) -> String {
@@ -226,13 +231,20 @@ pub struct RigRecord {
 }
 
 impl RigRecord {
-    /// True if the same controller answered: the same identity and the same program or image. If
-    /// the bench knows no program, also the kinds of the rigs must be equal.
+    /// True if the same controller answered: the same identity and the same program or image, and
+    /// the same arguments of a program, because they may select its law. If the bench knows no
+    /// program, also the kinds of the rigs must be equal.
     pub fn has_same_controller(&self, other: &Self) -> bool {
         let has_program = self.program_sha256.is_some();
         self.firmware == other.firmware
             && self.program_sha256 == other.program_sha256
+            && self.arguments() == other.arguments()
             && (has_program || self.kind() == other.kind())
+    }
+
+    /// What follows the program of `exec:`.
+    fn arguments(&self) -> Option<&str> {
+        self.name.strip_prefix("exec:").and_then(|command| command.trim().split_once(' ')).map(|(_, rest)| rest.trim())
     }
 
     /// Rig, identity and start of the digest of the controller, for messages.

@@ -43,7 +43,10 @@ pub(super) fn scenario_article(index: usize, scenario: &ScenarioRecord, parts: &
             p.facts {
                 @if let Some(source) = &scenario.source { span { "Source: " (source) } }
                 span { "Law: " (scenario.law) }
-                span { "Plate model: " (scenario.model) }
+                span {
+                    "Plate model: " (scenario.model)
+                    @if let Some(description) = scenario.model_description() { " (" (description) ")" }
+                }
                 span {
                     (format::count(scenario.trials.len(), "trial"))
                     @if let [only] = scenario.trials.as_slice() { " " (trace_link(only)) }
@@ -82,12 +85,14 @@ fn interval(expectation: &ExpectationRecord) -> Option<String> {
 
 fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> Markup {
     let (has_paper, has_interval) = (has_paper(scenario), has_interval(scenario));
+    let has_error = scenario.expectations.iter().any(|expectation| expectation.bench_error.is_some());
     let has_trend = trends.iter().any(|points| points.len() > 1);
     let number = |name: &str| Column::number(name, "");
     let columns = [
         Some("Metric".into()),
         Some("Verdict".into()),
         Some(number("Measured")),
+        has_error.then(|| number("Bench error")),
         has_paper.then(|| number("Paper")),
         Some(number("Expected")),
         has_interval.then(|| number("Interval")),
@@ -108,6 +113,8 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
                 strong { (value) }
                 @if scenario.trials.len() > 1 { span.statistic { (format::statistic(expectation)) } }
             })),
+            has_error
+                .then(|| Cell::optional(expectation.bench_error.map(|error| format!("{error:.0e}"))).with_unit(unit)),
             has_paper.then(|| Cell::optional(expectation.paper.map(format::number)).with_unit(unit)),
             Some(Cell::default().with_markup(html! {
                 span {

@@ -97,6 +97,7 @@ pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64)
         statistic: Statistic::Worst,
         limit,
         margin: Some(limit.margin(value, 10.0)),
+        bench_error: None,
         interval: Some([value * 0.98, value]),
         confidence: None,
         cause: None,

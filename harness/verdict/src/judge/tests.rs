@@ -126,6 +126,26 @@ const fn inconclusive(cause: Cause) -> (Verdict, Option<Cause>) {
     (Verdict::Inconclusive, Some(cause))
 }
 
+#[rstest]
+#[case::simulated(false, true)]
+#[case::real_plate(true, false)]
+fn a_simulated_value_has_the_bench_error(#[case] is_real_plate: bool, #[case] expected: bool) {
+    let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
+    let trials = [TrialMeasures { is_real_plate, ..trial_measures(0, &[Measure::Value(1.9)]) }];
+    let judgement = judge(&scenario, &trials);
+    let stated = judgement.clone().with_bench_errors(&scenario);
+    let error = stated.expectations[0].bench_error;
+    assert_eq!(error.is_some_and(|error| error > 0.0 && error < 1e-3), expected, "{error:?}");
+    assert_eq!((stated.verdict, stated.expectations[0].margin), (judgement.verdict, judgement.expectations[0].margin));
+}
+
+#[test]
+fn a_missing_value_has_no_bench_error() {
+    let scenario = fixed_scenario("metric = \"settling_time_ms\", at_most = 2.0");
+    let trials = [trial_measures(0, &[Measure::Missing(MissingValue::NeverSettles)])];
+    assert_eq!(judge(&scenario, &trials).with_bench_errors(&scenario).expectations[0].bench_error, None);
+}
+
 fn values_with_moments(count: usize, mean: f64, deviation: f64) -> Vec<f64> {
     let raw: Vec<f64> = (0..count).map(|index| index as f64).collect();
     let summary = SampleSummary::of(&raw).unwrap();

@@ -94,6 +94,12 @@ impl QuantityBudget {
         squares.reduce(|sum, square| sum + square).map(f64::sqrt).filter(|_| value.is_finite())
     }
 
+    /// Standard uncertainty of all components that one trial has alone, as in [`Self::standard_of`].
+    pub fn own_standard(&self, value: f64) -> Option<f64> {
+        let origins = [ErrorOrigin::Numerical, ErrorOrigin::Quantisation, ErrorOrigin::Sensor];
+        origins.into_iter().filter_map(|origin| self.standard_of(origin, value, None)).reduce(f64::hypot)
+    }
+
     fn add_amplitude_errors(&mut self, scenario: &Scenario, setpoint: f64, sensitivity: Sensitivity) {
         use Distribution::Rectangular;
         let plate = &scenario.plate;

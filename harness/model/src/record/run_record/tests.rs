@@ -38,6 +38,7 @@ pub(crate) fn record() -> RunRecord {
         value: Some(1.93),
         statistic: Statistic::Worst,
         limit: Limit::AtMost(2.0),
+        bench_error: None,
         margin: Some(0.025),
         interval: Some([1.9, 1.96]),
         confidence: Some(0.95),
@@ -302,4 +303,13 @@ fn rejects_an_unknown_verdict_with_its_position() {
     let (_, text) = write_record();
     let error = read_error(&text.replacen("inconclusive", "passed", 1)).to_string();
     assert!(error.contains("run.json:4:"), "{error}");
+}
+
+#[test]
+fn arguments_of_a_program_belong_to_the_controller() {
+    let rig = |name: &str| RigRecord { name: name.to_owned(), program_sha256: Some("00".to_owned()), ..record().rig };
+    let first = rig("exec:./c {port} --law=1");
+    assert!(first.has_same_controller(&rig("exec: /opt/c  {port} --law=1")));
+    assert!(!first.has_same_controller(&rig("exec:./c {port} --law=2")));
+    assert!(rig("emulated:a b.elf").has_same_controller(&rig("emulated:a c.elf")), "the same image");
 }
