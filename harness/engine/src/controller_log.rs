@@ -247,7 +247,8 @@ pub(crate) fn is_controller_failure(error: &RigError) -> bool {
         | RigError::RejectedAnswer { .. }
         | RigError::Restarted
         | RigError::OtherClient
-        | RigError::NoRealTime => false,
+        | RigError::NoRealTime
+        | RigError::InvalidScripts(_) => false,
     }
 }
 

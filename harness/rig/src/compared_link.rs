@@ -10,7 +10,7 @@ use std::time::Duration;
 #[derive(Debug)]
 pub(crate) struct ComparedLink<L> {
     pub(crate) link: L,
-    comparison: Option<Box<Comparison>>,
+    comparison: Option<Box<TrialComparison>>,
 }
 
 impl<L: Link> ComparedLink<L> {
@@ -54,7 +54,7 @@ impl<L: Link> ComparedLink<L> {
 }
 
 #[derive(Debug)]
-struct Comparison {
+struct TrialComparison {
     reference: HostedLink,
     to_target: PacketReader,
     from_target: PacketReader,
@@ -64,7 +64,7 @@ struct Comparison {
     largest_percent: Option<f64>,
 }
 
-impl Default for Comparison {
+impl Default for TrialComparison {
     fn default() -> Self {
         Self {
             reference: HostedLink::new(),
@@ -78,7 +78,7 @@ impl Default for Comparison {
     }
 }
 
-impl Comparison {
+impl TrialComparison {
     fn send_to_reference(&mut self, now: Duration, bytes: &[u8]) -> Result<(), LinkError> {
         for packet in self.to_target.packets(bytes).flatten() {
             self.last_request = packet.sequence;

@@ -10,13 +10,14 @@ mod scripts;
 use crate::cancel::CancelToken;
 use crate::link::{Link, LinkError, LinkKind};
 use crate::rigs::hosted::HostedLink;
+use crate::session::RigError;
 pub use comparison::is_defined_law;
 pub use coverage::ProtocolCoverage;
 
-use comparison::{BenchCause, CommandDifference, CommandHistory, Comparison, ComparisonScope, ReceivedPackets};
+use comparison::{BenchCause, CommandDifference, CommandHistory, ComparisonScope, ReceivedPackets, ScriptComparison};
 use platebench_model::scenario::ScenarioMessage;
 use platebench_wire::{Configure, Identity};
-use script::{Script, Step, Variation};
+use script::{Script, Variation};
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -115,7 +116,10 @@ pub struct CheckOptions<'a> {
 impl CheckOptions<'_> {
     /// True for a long script that was not requested. In simulated time every script is played.
     fn omits(&self, script: &Script) -> bool {
-        self.own_clock && !self.long_scripts && self.messages.is_empty() && script.length() > LONG_SCRIPT
+        self.own_clock
+            && !self.long_scripts
+            && self.messages.is_empty()
+            && ScenarioMessage::count(&script.messages) > LONG_SCRIPT
     }
 }
 
@@ -127,7 +131,7 @@ pub fn check_protocol(
     identity: &Identity,
     base: &Configure,
     options: CheckOptions<'_>,
-) -> Result<ProtocolCheck, LinkError> {
+) -> Result<ProtocolCheck, RigError> {
     let CheckOptions { own_clock, seed, messages, compares_numbers, own_law, cancel, .. } = options;
     if !link.restart()? {
         link.continue_trial();
@@ -158,16 +162,16 @@ pub fn check_protocol(
         Some(BenchCause::LateAnswer | BenchCause::LateTicks | BenchCause::Stall) => kind != LinkKind::Simulated,
     };
     let scripts = if messages.is_empty() {
-        scripts::scripts(&base, identity, seed, own_law)
+        scripts::scripts(&base, identity, seed, own_law).map_err(RigError::InvalidScripts)?
     } else {
-        vec![message_script(messages, &base)]
+        vec![message_script(messages, base)]
     };
     for script in scripts {
         if cancel.is_cancelled() {
             break;
         }
         if options.omits(&script) {
-            check.not_played.push(script.name.into_owned());
+            check.not_played.push(script.name);
             continue;
         }
         let mut found = player.play(&script)?;
@@ -184,7 +188,7 @@ pub fn check_protocol(
         }
         match found {
             None => {}
-            Some((_, Some(BenchCause::Stall))) => check.undecided.push(script.name.into_owned()),
+            Some((_, Some(BenchCause::Stall))) => check.undecided.push(script.name),
             Some((difference, _)) => check.differences.push(difference),
         }
     }
@@ -208,9 +212,8 @@ fn silence_step(silence: Duration) -> Duration {
     STEP.max(silence / MAX_STEPS)
 }
 
-fn message_script(messages: &[ScenarioMessage], base: &Configure) -> Script {
-    let steps = messages.iter().map(|message| Step::of_message(message, base));
-    Script { ends_silences: true, ..Script::new("messages of the scenario", steps) }
+fn message_script(messages: &[ScenarioMessage], base: Configure) -> Script {
+    Script { ends_silences: true, ..Script::new("messages of the scenario", base, messages.to_vec()) }
 }
 
 struct Player<'a> {
@@ -250,7 +253,7 @@ impl Player<'_> {
         let varied = if is_varied { &VARIATIONS[..] } else { &[] };
         let mut encoders: Vec<_> = varied.iter().map(|variation| script.exchanges(*variation)).collect();
         let mut references = vec![HostedLink::new(); 1 + varied.len()];
-        let mut comparison = Comparison::new(self.identity, self.scope);
+        let mut comparison = ScriptComparison::new(self.identity, self.scope);
         let (mut since_start, mut is_stalled) = (Duration::ZERO, false);
         let mut last_request = Instant::now();
         let mut received = Vec::new();
@@ -311,7 +314,7 @@ impl Player<'_> {
                     _ => other_cause,
                 };
                 let text = if is_late { format!("{text}; a message arrived after the time-out") } else { text };
-                let script = script.name.clone().into_owned();
+                let script = script.name.clone();
                 return Ok(Some((ScriptDifference { script, exchange: number + 1, text }, other_cause)));
             }
         }

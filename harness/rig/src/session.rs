@@ -54,6 +54,8 @@ pub enum RigError {
         .0.code, .0.pc, .0.lr, .0.cfsr, .0.address
     )]
     Trapped(FaultReport),
+    #[error("the built-in scripts of the protocol check are invalid: {0}")]
+    InvalidScripts(String),
 }
 
 impl RigError {

@@ -804,6 +804,7 @@ pub(crate) const NONE: ConfigurationChange = ConfigurationChange {
     frequency_slew_hz: None,
     gains: None,
     loop_delay_us: None,
+    paced_by_target: false,
     own_plate: false,
 };
 

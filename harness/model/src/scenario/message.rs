@@ -79,6 +79,9 @@ pub struct ConfigurationChange {
     /// Kp and Ki of the amplitude loop, Kp and Ki of the frequency loop.
     pub gains: Option<[WireNumber; 4]>,
     pub loop_delay_us: Option<u32>,
+    /// Bit 1 of the flags: the controller sends ticks.
+    #[serde(skip_serializing_if = "is_default")]
+    pub paced_by_target: bool,
     /// Bit 3 of the flags: the controller drives its own plate.
     #[serde(skip_serializing_if = "is_default")]
     pub own_plate: bool,
@@ -111,7 +114,10 @@ pub enum ScenarioMessage {
         #[schemars(range(min = 0.0, max = MAX_WAIT_MS))]
         ms: f64,
     },
-    /// A frame with a valid CRC that the controller does not answer.
+    /// The answers so far, without a further message. The next message waits for them.
+    Compare {},
+    /// A frame with a valid CRC. `nn` in its bytes is the next sequence number. If the controller
+    /// answers it, `compare` follows.
     Body {
         hex: String,
     },
@@ -148,8 +154,14 @@ impl ScenarioMessage {
         Self::Sample { setpoint_um, wd_um, wq_um, ahead: 1, split_at: None }
     }
 
-    /// Bytes of a text in hexadecimal; spaces may separate them.
-    pub fn bytes_of(hex: &str) -> Option<Vec<u8>> {
+    /// True if a body contains its sequence number as `nn`.
+    pub fn has_number(hex: &str) -> bool {
+        hex.contains("nn")
+    }
+
+    /// Bytes of a text in hexadecimal; spaces may separate them. `nn` is the byte `number`.
+    pub fn bytes_of(hex: &str, number: u8) -> Option<Vec<u8>> {
+        let hex = hex.replace("nn", &format!("{number:02x}"));
         let digits = hex.chars().filter(|digit| *digit != ' ').map(|digit| digit.to_digit(16));
         let digits: Vec<u32> = digits.collect::<Option<_>>()?;
         let bytes = digits.chunks_exact(2).map(|pair| pair.iter().fold(0, |byte, digit| byte << 4 | *digit as u8));
@@ -208,7 +220,7 @@ impl Checker<'_> {
                 ScenarioMessage::Body { hex } | ScenarioMessage::Bytes { hex } => {
                     let most =
                         if matches!(message, ScenarioMessage::Body { .. }) { MAX_BODY_BYTES } else { MAX_LINE_BYTES };
-                    let count = ScenarioMessage::bytes_of(hex).map_or(0, |bytes| bytes.len());
+                    let count = ScenarioMessage::bytes_of(hex, 0).map_or(0, |bytes| bytes.len());
                     self.require((1..=most).contains(&count), &key("hex"), || {
                         format!("`{hex}`, expected 1 to {most} bytes of two hexadecimal digits each")
                     })?;
@@ -231,8 +243,10 @@ mod tests {
     #[case("150", None)]
     #[case("1g", None)]
     #[case("", Some(vec![]))]
+    #[case("15 nn 0a", Some(vec![0x15, 0xf8, 0x0a]))]
+    #[case("15 n 0a", None)]
     fn reads_hexadecimal_bytes(#[case] hex: &str, #[case] expected: Option<Vec<u8>>) {
-        assert_eq!(ScenarioMessage::bytes_of(hex), expected);
+        assert_eq!(ScenarioMessage::bytes_of(hex, 0xf8), expected);
     }
 
     #[rstest]

@@ -151,7 +151,7 @@ pub(super) enum ComparisonScope {
     OwnLaw,
 }
 
-pub(super) struct Comparison<'a> {
+pub(super) struct ScriptComparison<'a> {
     identity: &'a Identity,
     scope: ComparisonScope,
     requests: PacketReader,
@@ -168,7 +168,7 @@ pub(super) struct Comparison<'a> {
     ticks: TickComparison,
 }
 
-impl<'a> Comparison<'a> {
+impl<'a> ScriptComparison<'a> {
     pub(super) fn new(identity: &'a Identity, scope: ComparisonScope) -> Self {
         Self {
             identity,

@@ -1,6 +1,7 @@
 //! Counts which rules and thresholds of the protocol a sequence of messages exercises, by the
 //! answers of the hosted reference.
 
+use super::comparison::packets;
 use super::script::Variation;
 use super::{message_script, script_base, silence_step};
 use crate::link::{Link, LinkError};
@@ -104,7 +105,7 @@ impl ProtocolCoverage {
         let base = script_base(base);
         let period = Duration::from_micros(base.period_us.into());
         let mut observer = Observer::new(self);
-        for exchange in message_script(messages, &base).exchanges(Variation::NONE) {
+        for exchange in message_script(messages, base).exchanges(Variation::NONE) {
             observer.advance(exchange.wait.max(period))?;
             for byte in exchange.bytes {
                 observer.add_byte(byte)?;
@@ -224,8 +225,7 @@ impl<'a> Observer<'a> {
             Message::Safe => Event::Safe,
             Message::Configure(configure) => {
                 self.last_number = None;
-                let answers = PacketReader::new().packets(answer).flatten().collect::<Vec<_>>();
-                let is_accepted = answers.iter().any(
+                let is_accepted = packets(answer).iter().any(
                     |answer| matches!(answer.message, Message::Configured(configured) if configured.outcome.is_ok()),
                 );
                 if is_accepted { self.accept(configure) } else { Event::Unusable }
@@ -282,7 +282,7 @@ impl<'a> Observer<'a> {
     }
 
     fn observe_answers(&mut self, bytes: &[u8]) {
-        for packet in PacketReader::new().packets(bytes).flatten() {
+        for packet in packets(bytes) {
             match packet.message {
                 Message::Configured(configured) => {
                     self.state = if configured.outcome.is_ok() { State::Configured } else { State::Idle };

@@ -1,87 +1,21 @@
-//! Defines the steps of a script and turns them into exchanges. An exchange consists of frames that
-//! the controller does not answer and one frame that it answers.
+//! Turns the messages of a script into exchanges. An exchange consists of frames that the controller
+//! does not answer and one frame that it answers.
 
 use platebench_controller::design::default_response_time_s;
 use platebench_model::scenario::{ConfigurationChange, ScenarioMessage, WireNumber};
 use platebench_wire::{Configure, EncodedFrame, Gains, LawId, Message, Packet, Sample};
-use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Silence between the two pieces of [`Step::InPieces`].
+/// Silence between the two pieces of a sample that is split.
 const PAUSE: Duration = Duration::from_millis(5);
 const STALL: Duration = Duration::from_millis(80);
-/// Setpoint, Wd and Wq of [`Step::Damaged`], µm.
+/// Setpoint, Wd and Wq of a damaged sample, µm. They differ from those of the other samples of a
+/// script.
 const DAMAGED_SAMPLE: [f32; 3] = [3.0, 0.7, -0.3];
 
-/// A step of a script. The three `f32` of a step are setpoint, Wd and Wq of a sample, µm.
-#[derive(Debug, Clone)]
-pub(super) enum Step {
-    // Exchanges.
-    Setup(Configure),
-    Sample(f32, f32, f32),
-    /// Sends the bytes of the last sample again.
-    Repeat,
-    /// Sends a sample with the number of the last message plus the first field, and with a time that
-    /// is as many periods later.
-    Ahead(u8, f32, f32, f32),
-    /// Sends a sample in two pieces, with a silence after the first `usize` bytes.
-    InPieces(usize, f32, f32, f32),
-    Ask(Message),
-    /// Sends a frame with a valid CRC.
-    AskBody(Vec<u8>),
-    /// Sends nothing for this time, ms.
-    Silence(u64),
-
-    // Before the next exchange.
-    /// Sends nothing for this time, ms. Earlier steps without an exchange are sent before it, with a
-    /// hello.
-    Wait(u64),
-    WaitUs(u64),
-    Send(Message),
-    Bytes(Vec<u8>),
-    /// Sends a frame with a valid CRC.
-    Body(Vec<u8>),
-    /// Sends a sample that is invalid, because one bit of this byte is flipped. Its values differ
-    /// from those of the script's other samples.
-    Damaged(usize),
-    /// Sends as many damaged samples.
-    Rejected(usize),
-
-    /// Plays the last `steps` steps `times` more times.
-    Again {
-        steps: usize,
-        times: u32,
-    },
-}
-
-impl Step {
-    /// `base` is the configuration that the keys of a `configure` change.
-    pub(super) fn of_message(message: &ScenarioMessage, base: &Configure) -> Self {
-        let bytes = |hex: &str| ScenarioMessage::bytes_of(hex).unwrap_or_default();
-        match message {
-            ScenarioMessage::Configure(change) => Self::Setup(configuration(change, base)),
-            ScenarioMessage::Sample { setpoint_um, wd_um, wq_um, ahead, split_at } => {
-                let [setpoint, wd, wq] = [setpoint_um, wd_um, wq_um].map(|number| number.value());
-                match (split_at, ahead) {
-                    (Some(at), _) => Self::InPieces(usize::from(*at), setpoint, wd, wq),
-                    (None, 1) => Self::Sample(setpoint, wd, wq),
-                    (None, ahead) => Self::Ahead(*ahead, setpoint, wd, wq),
-                }
-            }
-            ScenarioMessage::Repeat {} => Self::Repeat,
-            ScenarioMessage::Hello {} => Self::Ask(Message::Hello),
-            ScenarioMessage::Safe {} => Self::Ask(Message::Safe),
-            ScenarioMessage::Wait { ms } => Self::WaitUs((ms * 1e3).round() as u64),
-            ScenarioMessage::Body { hex } => Self::Body(bytes(hex)),
-            ScenarioMessage::Bytes { hex } => Self::Bytes(bytes(hex)),
-            ScenarioMessage::Damaged { byte } => Self::Damaged(usize::from(*byte)),
-            ScenarioMessage::Again { messages, times } => Self::Again { steps: *messages as usize, times: *times },
-        }
-    }
-}
-
-fn configuration(change: &ConfigurationChange, base: &Configure) -> Configure {
+/// Applies `change` to `base`.
+pub(super) fn configuration(change: &ConfigurationChange, base: &Configure) -> Configure {
     let ConfigurationChange {
         law,
         watchdog_timeout_ms,
@@ -95,6 +29,7 @@ fn configuration(change: &ConfigurationChange, base: &Configure) -> Configure {
         frequency_slew_hz,
         gains,
         loop_delay_us,
+        paced_by_target,
         own_plate,
     } = *change;
     let float = |number: Option<WireNumber>, base: f32| number.map_or(base, WireNumber::value);
@@ -105,7 +40,7 @@ fn configuration(change: &ConfigurationChange, base: &Configure) -> Configure {
     });
     Configure {
         law: law.unwrap_or(base.law),
-        paced_by_target: false,
+        paced_by_target,
         drives_own_plate: own_plate,
         watchdog_timeout_ms: watchdog_timeout_ms.unwrap_or(base.watchdog_timeout_ms),
         period_us: period_us.unwrap_or(base.period_us),
@@ -140,7 +75,9 @@ pub(super) fn scaled_response_time(configure: &Configure, factor: f32) -> f32 {
 
 #[derive(Debug, Clone)]
 pub(super) struct Script {
-    pub(super) name: Cow<'static, str>,
+    pub(super) name: String,
+    /// The configuration that a message changes.
+    pub(super) base: Configure,
     /// If an exchange is later than planned by more than this time, the watchdog may act.
     pub(super) stall: Duration,
     /// False if rounding and the design of the gains decide nothing, so that the variations are not
@@ -149,7 +86,7 @@ pub(super) struct Script {
     /// True if the message after a silence arrives before the controller has noticed the end of the
     /// silence.
     pub(super) ends_silences: bool,
-    pub(super) steps: Vec<Step>,
+    pub(super) messages: Vec<ScenarioMessage>,
 }
 
 #[derive(Debug, Clone)]
@@ -177,24 +114,14 @@ impl Variation {
 }
 
 impl Script {
-    pub(super) fn new(name: impl Into<Cow<'static, str>>, steps: impl IntoIterator<Item = Step>) -> Self {
-        let steps = steps.into_iter().collect();
-        Self { name: name.into(), stall: STALL, is_varied: true, ends_silences: false, steps }
-    }
-
-    /// Number of steps, repetitions included.
-    pub(super) fn length(&self) -> u64 {
-        let length = |step: &Step| match step {
-            Step::Again { steps, times } => *steps as u64 * u64::from(*times),
-            _ => 1,
-        };
-        self.steps.iter().map(length).sum()
+    pub(super) fn new(name: impl Into<String>, base: Configure, messages: Vec<ScenarioMessage>) -> Self {
+        Self { name: name.into(), base, stall: STALL, is_varied: true, ends_silences: false, messages }
     }
 
     /// Makes the exchanges one after the other, because a long script does not fit in memory.
     pub(super) fn exchanges(&self, variation: Variation) -> Encoder<'_> {
         Encoder {
-            steps: &self.steps,
+            script: self,
             position: 0,
             repetition: 0,
             ready: VecDeque::new(),
@@ -213,10 +140,10 @@ impl Script {
 
 #[derive(Debug)]
 pub(super) struct Encoder<'a> {
-    steps: &'a [Step],
-    /// The next step.
+    script: &'a Script,
+    /// The next message.
     position: usize,
-    /// Number of the repetition by the next [`Step::Again`].
+    /// Number of the repetition by the next `again`.
     repetition: u32,
     ready: VecDeque<Exchange>,
     variation: Variation,
@@ -232,22 +159,23 @@ impl Iterator for Encoder<'_> {
     type Item = Exchange;
 
     fn next(&mut self) -> Option<Exchange> {
+        let messages = &self.script.messages;
         while self.ready.is_empty() {
-            let Some(step) = self.steps.get(self.position) else {
+            let Some(message) = messages.get(self.position) else {
                 if self.unanswered.is_empty() {
                     return None;
                 }
-                self.add(Step::Ask(Message::Hello));
+                self.ask(Message::Hello);
                 break;
             };
             self.position += 1;
-            match step {
-                Step::Again { steps, times } if self.repetition < *times => {
+            match message {
+                ScenarioMessage::Again { messages, times } if self.repetition < *times => {
                     self.repetition += 1;
-                    self.position = self.position.saturating_sub(steps + 1);
+                    self.position = self.position.saturating_sub(*messages as usize + 1);
                 }
-                Step::Again { .. } => self.repetition = 0,
-                step => self.add(step.clone()),
+                ScenarioMessage::Again { .. } => self.repetition = 0,
+                message => self.add(message),
             }
         }
         self.ready.pop_front()
@@ -255,65 +183,43 @@ impl Iterator for Encoder<'_> {
 }
 
 impl Encoder<'_> {
-    fn add(&mut self, step: Step) {
-        match step {
-            Step::Setup(configure) => self.configure(configure),
-            Step::Sample(setpoint, wd, wq) => {
-                let sequence = self.next_sequence();
-                self.sample(sequence, [setpoint, wd, wq]);
-            }
-            Step::Repeat => {
-                let bytes = self.last_sample.clone();
-                self.close(&bytes);
-            }
-            Step::Ahead(ahead, setpoint, wd, wq) => {
-                self.sequence = self.sequence.wrapping_add(ahead);
-                self.time_us = self.time_us.wrapping_add(self.period_us.wrapping_mul(ahead.into()));
-                self.sample(self.sequence, [setpoint, wd, wq]);
-            }
-            Step::InPieces(at, setpoint, wd, wq) => {
-                self.add(Step::Sample(setpoint, wd, wq));
-                if let Some(whole) = self.ready.pop_back() {
-                    let frame = whole.bytes.len().saturating_sub(self.last_sample.len());
-                    let (first, second) = whole.bytes.split_at((frame + at).min(whole.bytes.len()));
-                    self.ready.push_back(Exchange { bytes: first.to_vec(), is_complete: false, ..whole });
-                    self.ready.push_back(Exchange { wait: PAUSE, bytes: second.to_vec(), is_complete: true });
+    fn add(&mut self, message: &ScenarioMessage) {
+        match message {
+            ScenarioMessage::Configure(change) => self.configure(configuration(change, &self.script.base)),
+            ScenarioMessage::Sample { setpoint_um, wd_um, wq_um, ahead, split_at } => {
+                let values = [setpoint_um, wd_um, wq_um].map(|number| number.value());
+                match (split_at, ahead) {
+                    (Some(at), _) => self.sample_in_pieces(usize::from(*at), values),
+                    (None, 1) => self.sample(1, values),
+                    (None, &ahead) => {
+                        self.time_us = self.time_us.wrapping_add(self.period_us.wrapping_mul(ahead.into()));
+                        self.sample(ahead, values);
+                    }
                 }
             }
-            Step::Ask(message) => {
-                let frame = self.frame(message);
-                self.close(&frame);
-            }
-            Step::AskBody(body) => {
-                if let Some(frame) = EncodedFrame::new(&body) {
-                    self.close(frame.as_bytes());
-                }
-            }
-            Step::Silence(ms) => {
-                self.add(Step::Wait(ms));
-                self.close(&[]);
-            }
-            Step::Wait(ms) => self.add(Step::WaitUs(ms * 1_000)),
-            Step::WaitUs(us) => {
+            ScenarioMessage::Repeat {} => self.close(&self.last_sample.clone()),
+            ScenarioMessage::Hello {} => self.ask(Message::Hello),
+            ScenarioMessage::Safe {} => self.ask(Message::Safe),
+            ScenarioMessage::Compare {} => self.close(&[]),
+            ScenarioMessage::Wait { ms } => {
                 if !self.unanswered.is_empty() {
                     // Its answer ends the exchange, and it changes nothing.
-                    self.add(Step::Ask(Message::Hello));
+                    self.ask(Message::Hello);
                 }
-                self.wait += Duration::from_micros(us);
+                self.wait += Duration::from_micros((ms * 1e3).round() as u64);
             }
-            Step::Send(message) => {
-                let frame = self.frame(message);
-                self.unanswered.extend(frame);
-            }
-            Step::Bytes(bytes) => self.unanswered.extend(bytes),
-            Step::Body(body) => {
+            ScenarioMessage::Body { hex } => {
+                let number = if ScenarioMessage::has_number(hex) { self.next_sequence() } else { 0 };
+                let body = ScenarioMessage::bytes_of(hex, number).unwrap_or_default();
                 if let Some(frame) = EncodedFrame::new(&body) {
                     self.unanswered.extend_from_slice(frame.as_bytes());
                 }
             }
-            Step::Damaged(position) => self.damaged(position),
-            Step::Rejected(count) => (0..count).for_each(|_| self.damaged(5)),
-            Step::Again { .. } => {}
+            ScenarioMessage::Bytes { hex } => {
+                self.unanswered.extend(ScenarioMessage::bytes_of(hex, 0).unwrap_or_default());
+            }
+            ScenarioMessage::Damaged { byte } => self.damaged(usize::from(*byte)),
+            ScenarioMessage::Again { .. } => {}
         }
     }
 
@@ -326,17 +232,30 @@ impl Encoder<'_> {
         } else {
             configure
         };
-        self.add(Step::Ask(Message::Configure(varied)));
+        self.ask(Message::Configure(varied));
     }
 
-    fn sample(&mut self, sequence: u8, [setpoint_um, wd_um, wq_um]: [f32; 3]) {
+    /// `ahead` is the distance of the sequence number from that of the last message.
+    fn sample(&mut self, ahead: u8, [setpoint_um, wd_um, wq_um]: [f32; 3]) {
+        self.sequence = self.sequence.wrapping_add(ahead);
+        let sequence = self.sequence;
         let components = self.variation.components;
         let change = |number: u8| if number.is_multiple_of(2) { components } else { -components };
         let (wd_um, wq_um) = (wd_um * (1.0 + change(sequence)), wq_um * (1.0 + change(sequence / 2)));
         let sample = Sample { time_us: self.time_us, setpoint_um, wd_um, wq_um };
         self.time_us = self.time_us.wrapping_add(self.period_us);
         self.last_sample = Packet { sequence, message: Message::Sample(sample) }.encode().as_bytes().to_vec();
-        self.add(Step::Repeat);
+        self.close(&self.last_sample.clone());
+    }
+
+    fn sample_in_pieces(&mut self, at: usize, values: [f32; 3]) {
+        self.sample(1, values);
+        if let Some(whole) = self.ready.pop_back() {
+            let frame = whole.bytes.len().saturating_sub(self.last_sample.len());
+            let (first, second) = whole.bytes.split_at((frame + at).min(whole.bytes.len()));
+            self.ready.push_back(Exchange { bytes: first.to_vec(), is_complete: false, ..whole });
+            self.ready.push_back(Exchange { wait: PAUSE, bytes: second.to_vec(), is_complete: true });
+        }
     }
 
     fn damaged(&mut self, position: usize) {
@@ -349,6 +268,11 @@ impl Encoder<'_> {
             *byte ^= if *byte == 1 { 2 } else { 1 };
         }
         self.unanswered.extend(frame);
+    }
+
+    fn ask(&mut self, message: Message) {
+        let frame = self.frame(message);
+        self.close(&frame);
     }
 
     fn frame(&mut self, message: Message) -> Vec<u8> {

@@ -8,6 +8,9 @@ use rstest::rstest;
 use std::f64::consts::TAU;
 use std::sync::LazyLock;
 
+/// From the table `configuration` of `scripts.toml`.
+const CONFIGURED_AMPLITUDE_KP: f32 = 275.0;
+
 fn scripts() -> CheckOptions<'static> {
     static NEVER: LazyLock<CancelToken> = LazyLock::new(CancelToken::never);
     CheckOptions {
@@ -215,6 +218,46 @@ fn the_law_of_a_configuration_decides_what_is_compared(#[case] law: LawId, #[cas
     assert_eq!(found.len(), differences, "{found:?}");
 }
 
+#[rstest]
+fn the_built_in_scripts_are_valid(#[values(0, 15)] capabilities: u8, #[values(false, true)] own_law: bool) {
+    let identity = Identity { capabilities, ..*Session::open(HostedLink::new()).unwrap().identity() };
+    let all = scripts::scripts(&CONFIGURE, &identity, 1, own_law).unwrap();
+    // Two scripts need ticks, one a loop delay; one needs a controller without a plate of its own, five one without
+    // a law of its own.
+    let of_capabilities = if capabilities == 0 { 1 } else { 3 };
+    assert_eq!(all.len(), 131 + of_capabilities + if own_law { 0 } else { 5 });
+    for Script { name, messages, .. } in &all {
+        assert!(!name.is_empty() && matches!(messages.first(), Some(ScenarioMessage::Configure(_))), "{name}");
+        for (at, message) in messages.iter().enumerate() {
+            match message {
+                ScenarioMessage::Body { hex } | ScenarioMessage::Bytes { hex } => {
+                    assert!(ScenarioMessage::bytes_of(hex, 0).is_some_and(|bytes| !bytes.is_empty()), "{name}: {hex}");
+                }
+                ScenarioMessage::Again { messages, .. } => assert!((1..=at).contains(&(*messages as usize)), "{name}"),
+                _ => {}
+            }
+        }
+    }
+}
+
+#[rstest]
+#[case::name(r#"messages = ["configure"]"#, "x: `configure`, expected a name of [message]")]
+#[case::element(r#"messages = ["each"]"#, "x: `each` without an element, expected `each` of the script")]
+#[case::nested(
+    r#"messages = ["each"]
+each = ["each"]"#,
+    "x: `each` without an element"
+)]
+#[case::key("messages = []\nstal_us = 250", "unknown field `stal_us`")]
+#[case::condition(r#"condition = "tick""#, "unknown variant `tick`")]
+#[case::value("messages = [[2.0, 1.2]]", "TOML parse error at line 5, column 12")]
+fn an_invalid_file_is_an_error(#[case] script: &str, #[case] message: &str) {
+    let identity = *Session::open(HostedLink::new()).unwrap().identity();
+    let file = format!("configuration = {{}}\nmessage = {{}}\n[[script]]\nname = 'x'\n{script}\n");
+    let error = scripts::scripts_of(&file, &CONFIGURE, &identity, false).unwrap_err();
+    assert!(error.contains(message), "{error}");
+}
+
 /// The result must not depend on a measured speed.
 #[rstest]
 #[case::simulated(false, false, false)]
@@ -227,7 +270,7 @@ fn only_an_option_decides_which_scripts_are_played(
 ) {
     let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let options = CheckOptions { own_clock, long_scripts, ..scripts() };
-    let all = scripts::scripts(&CONFIGURE, &identity, 1, false);
+    let all = scripts::scripts(&CONFIGURE, &identity, 1, false).unwrap();
     let omitted: Vec<_> = all.iter().filter(|script| options.omits(script)).map(|script| &*script.name).collect();
     assert_eq!(omitted, &["more samples than sixteen bits count"][..usize::from(is_omitted)]);
 }
@@ -359,7 +402,7 @@ fn a_design_may_differ_by_ten_percent(#[case] factor: f32, #[case] differs: bool
         for packet in packets {
             if let Message::Configured(configured) = &mut packet.message
                 && let Ok(Gains { amplitude_kp, .. }) = &mut configured.outcome
-                && *amplitude_kp != scripts::CONFIGURED_GAINS.amplitude_kp
+                && *amplitude_kp != CONFIGURED_AMPLITUDE_KP
             {
                 has_own_design = true;
                 *amplitude_kp *= factor;
