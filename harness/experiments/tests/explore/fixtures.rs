@@ -22,6 +22,7 @@ pub(crate) fn configuration(law: impl Into<ExploredLaw>, scenes: u64) -> Explore
         compares_reference: false,
         regressions: Vec::new(),
         sequences: None,
+        has_endurance: true,
         is_guided: false,
         branch_outcomes: BTreeSet::new(),
     }
