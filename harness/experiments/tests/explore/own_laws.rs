@@ -1,12 +1,13 @@
 //! Tests the exploration of laws of the controller's own: correct ones fail nothing, and each property
 //! finds a fault.
 
-use crate::fixtures::configuration;
+use crate::fixtures::{configuration, judge_own_law};
 use platebench_engine::SafeEnds;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::{ExploreConfig, ExploredLaw, OwnLaw, Property, explore, measure_own_law};
 use platebench_experiments::trust::{Mutant, MutantController};
+use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Session};
 use platebench_wire::{Configure, ControllerState, Gains, LawId, Message, Packet};
 use rstest::rstest;
@@ -154,6 +155,18 @@ fn correct_own_laws_fail_nothing() {
     }
 }
 
+/// Slow ones too.
+#[rstest]
+#[case("guards/slow-setpoint-ramp.toml")]
+#[case("guards/slow-setpoint-sine.toml")]
+#[case("guards/after-a-minute.toml")]
+fn correct_own_laws_pass_a_scenario_of_every_law(#[case] file: &str) {
+    for (name, build) in CORRECT {
+        let judged = judge_own_law(file, build);
+        assert_eq!(judged.verdict, Verdict::Pass, "{name}: {:?}", judged.expectations);
+    }
+}
+
 #[test]
 #[ignore = "minutes; docs/trust.md contains the result"]
 fn correct_own_laws_fail_nothing_in_3000_scenes() {
@@ -277,7 +290,7 @@ fn sleeps_after_a_rest_of_3_s(memory: &mut Memory, message: &mut Message) {
     if let Message::Sample(sample) = message {
         memory.remaining = match memory.remaining {
             rest if sample.setpoint_um == 0.0 => rest % 10_000 + 1,
-            3_000..10_000 => 10_200,
+            3_000..=10_000 => 10_200,
             10_001.. => memory.remaining - 1,
             _ => 0,
         };

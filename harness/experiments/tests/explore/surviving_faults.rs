@@ -4,16 +4,13 @@
 //! first configuration. Each controller has an own law, so its commands are not compared with a
 //! reference.
 
-use platebench_engine::{Executor, ExecutorSettings, SafeEnds, law};
+use crate::fixtures::judge_own_law;
 use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::record::Verdict;
-use platebench_model::scenario::{OWN_LAW, load};
 use platebench_rig::{BoxedLink, CancelToken, CheckOptions, HostedLink, Session, check_protocol};
 use platebench_test_kit::CONFIGURE;
-use platebench_verdict::{judge, measure};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Packet};
 use rstest::rstest;
-use std::path::Path;
 
 #[derive(Default)]
 struct Memory {
@@ -250,15 +247,8 @@ fn sleeps_after_a_rest_of_3_s(memory: &mut Memory, message: &mut Message) {
 #[case::hold("guards/after-seconds.toml", || with(slow_after_a_thousand_samples))]
 #[case::rest("guards/after-seconds.toml", || with(drives_after_a_long_rest))]
 fn a_scenario_finds_a_fault_of_an_own_law(#[case] file: &str, #[case] build: fn() -> Box<dyn Mutant>) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-    let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
-    scenario.set_law(OWN_LAW);
     for (build, verdict) in [((|| with(none)) as fn() -> Box<dyn Mutant>, Verdict::Pass), (build, Verdict::Fail)] {
-        let connect = || Ok(link(build));
-        let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-        let mut executor = Executor::new(&connect, ExecutorSettings::lockstep(&cancel), &ends);
-        let played = executor.play(&scenario, law(&scenario).unwrap(), 0, None).unwrap().unwrap();
-        let judged = judge(&scenario, &[measure(&scenario, 0, &played.trace_rows, &played.telemetry)]);
+        let judged = judge_own_law(file, build);
         assert_eq!(judged.verdict, verdict, "{:?}", judged.expectations);
     }
 }
