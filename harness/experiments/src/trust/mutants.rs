@@ -144,14 +144,18 @@ pub(crate) fn off_after_61_s() -> Box<dyn Mutant> {
     })
 }
 
-/// Needs 200 samples to start after 3,000 samples at setpoint 0.
+/// Has no drive for 200 ms after 3 s at setpoint 0.
 pub(crate) fn sleep_at_rest() -> Box<dyn Mutant> {
-    let (mut rest, mut dead) = (0_u32, 0_u32);
+    let (mut rest_start_us, mut woken_us) = (None, None);
     off_if(move |count, sample| {
-        let is_rest = sample.setpoint_um == 0.0;
-        rest = if is_rest && count > 0 { rest + 1 } else { 0 };
-        dead = if is_rest { if rest >= 3_000 { 200 } else { 0 } } else { dead.saturating_sub(1) };
-        dead > 0
+        let since = |start: u32| sample.time_us.wrapping_sub(start);
+        (rest_start_us, woken_us) = if count == 0 { (None, None) } else { (rest_start_us, woken_us) };
+        if sample.setpoint_um == 0.0 {
+            rest_start_us.get_or_insert(sample.time_us);
+        } else if rest_start_us.take().is_some_and(|start| since(start) >= 3_000_000) {
+            woken_us = Some(sample.time_us);
+        }
+        woken_us.is_some_and(|woken| since(woken) < 200_000)
     })
 }
 

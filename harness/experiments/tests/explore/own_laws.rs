@@ -20,6 +20,7 @@ struct Memory {
     setpoint_um: f32,
     drive_vpp: f32,
     remaining: u32,
+    rest_start_us: Option<u32>,
 }
 
 type Fault = fn(&mut Memory, &mut Message);
@@ -285,17 +286,17 @@ fn is_off_after_61_s(memory: &mut Memory, message: &mut Message) {
     on_command(message, |drive| *drive = if is_off { 0.0 } else { *drive });
 }
 
-/// `remaining` counts the samples at rest, then those from 10,000 on that remain without a drive.
 fn sleeps_after_a_rest_of_3_s(memory: &mut Memory, message: &mut Message) {
     if let Message::Sample(sample) = message {
-        memory.remaining = match memory.remaining {
-            rest if sample.setpoint_um == 0.0 => rest % 10_000 + 1,
-            3_000..=10_000 => 10_200,
-            10_001.. => memory.remaining - 1,
-            _ => 0,
-        };
+        if sample.setpoint_um == 0.0 {
+            let start = *memory.rest_start_us.get_or_insert(sample.time_us);
+            memory.remaining = if sample.time_us.wrapping_sub(start) >= 3_000_000 { 200 } else { 0 };
+        } else {
+            memory.rest_start_us = None;
+            memory.remaining = memory.remaining.saturating_sub(1);
+        }
     }
-    let is_off = memory.remaining > 10_000;
+    let is_off = memory.remaining > 0;
     on_command(message, |drive| *drive = if is_off { 0.0 } else { *drive });
 }
 
