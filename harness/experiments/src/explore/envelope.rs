@@ -29,7 +29,7 @@ pub struct Ranges {
     /// Setpoints above 0, µm.
     #[schemars(inner(range(min = 0.01, max = 100.0)))]
     pub setpoint_um: [f64; 2],
-    /// Rate of a setpoint ramp, µm/s.
+    /// Rate of a setpoint ramp, µm/s; default: 0.2 to 50.
     #[serde(default = "Ranges::setpoint_rate")]
     #[schemars(inner(range(min = 0.001, max = 1e4)))]
     pub setpoint_rate_um_per_s: [f64; 2],

@@ -385,7 +385,7 @@ impl WindowJudge<'_> {
     fn add_tracking(&self, demands: &mut Vec<Demand>) {
         let Change { from_us, to_us, .. } = self.window.change;
         let points = self.trial.setpoint.points().array_windows();
-        let parts = points.filter(|[(start, _), (end, _)]| from_us <= *start && *end <= to_us);
+        let parts = points.filter(|[(start, _), _]| (from_us..to_us).contains(start));
         let rate = |[(start, low), (end, high)]: &[(u32, i32); 2]| f64::from(high - low).abs() / f64::from(end - start);
         let fastest = parts.clone().map(rate).fold(0.0, f64::max) * 1e3;
         let lowest = parts.flatten().map(|(_, level)| f64::from(*level) * 1e-3).fold(f64::INFINITY, f64::min);

@@ -22,6 +22,7 @@ const DYNAMICS: &[Metric] =
 const DISTURBANCE: &[Metric] = &[Metric::PeakDeviation, Metric::RecoveryTime];
 const RESONANCE: &[Metric] = &[Metric::FrequencyError, Metric::QuadratureRatio];
 pub(crate) const REFERENCE: &[Metric] = &[Metric::ReferenceDifference, Metric::ProtocolDifferences];
+pub(crate) const SLOW_SETPOINT: &[Metric] = &[Metric::PeakDeviation];
 const SHUTDOWN: &[Metric] = &[Metric::ShutdownTime];
 const RESPONSE: &[Metric] = &[Metric::Overshoot, Metric::SettlingTime, Metric::StaticError, Metric::MissedReplies];
 
@@ -31,7 +32,7 @@ const FIG15: &str = "paper/fig15-frequency.toml";
 const FIG16: &str = "paper/fig16-closed-loop.toml";
 const TEMPERATURE_RAMP: &str = "paper/temperature-ramp.toml";
 const DRUMMING_FINGER: &str = "guards/drumming-finger.toml";
-const SLOW_RAMP: &str = "guards/slow-setpoint-ramp.toml";
+pub(crate) const SLOW_RAMP: &str = "guards/slow-setpoint-ramp.toml";
 const AFTER_A_MINUTE: &str = "guards/after-a-minute.toml";
 const SILENCE: &str = "faults/five-periods-of-silence.toml";
 const NOISE_STORM: &str = "faults/noise-storm.toml";
@@ -381,10 +382,10 @@ fn counter_mutants() -> Vec<MutantSpec> {
 fn long_trial_mutants() -> Vec<MutantSpec> {
     vec![
         mutant("small-changes-ignored", "drive held while the setpoint changes by less than 5 % per sample")
-            .caught_by(&[Metric::PeakDeviation], SLOW_RAMP)
+            .caught_by(SLOW_SETPOINT, SLOW_RAMP)
             .with(|| small_changes_ignored(0.05)),
         mutant("very-small-changes-ignored", "drive held while the setpoint changes by less than 0.006 % per sample")
-            .caught_by(&[Metric::PeakDeviation], SLOW_RAMP)
+            .caught_by(SLOW_SETPOINT, SLOW_RAMP)
             .with(|| small_changes_ignored(6e-5)),
         mutant("sample-counter-of-16-bits", "samples counted in 16 bits: the start is repeated after 65,536")
             .caught_by(&[Metric::PeakDeviation], AFTER_A_MINUTE)
