@@ -35,7 +35,7 @@ const TEMPERATURE_K: f64 = 0.05;
 /// Difference between the seeds of two clean runs, larger than the number of trials of a run.
 const SEEDS_PER_RUN: u64 = 100_000;
 /// Clean runs skip longer scenarios: one of a minute takes as long as a thousand short ones.
-const MAX_CLEAN_DURATION_S: f64 = 2.0;
+const MAX_CLEAN_DURATION_S: f64 = 10.0;
 
 #[derive(Debug, Clone)]
 pub struct TrustConfig {

@@ -1,7 +1,7 @@
 //! Counts what the scenes cover: value ranges, pairs of changes, histories.
 
 use crate::explore::envelope::Envelope;
-use crate::explore::properties::{PropertyWindow, windows};
+use crate::explore::properties::{Change, PropertyWindow, windows};
 use crate::explore::scene::{Scene, SceneTrial};
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -19,6 +19,8 @@ pub enum ChangeKind {
     Rest,
     /// The setpoint rises from 0.
     Start,
+    /// The setpoint changes at a constant rate.
+    Ramp,
     Press,
     Lift,
     Heat,
@@ -40,13 +42,14 @@ impl ChangeKind {
         let setpoint_before = if change.from_us == 0 { 0.0 } else { trial.setpoint_at(before) };
         let setpoint = trial.setpoint_at(change.to_us);
         match (change.setpoint, change.force, change.temperature) {
+            (true, false, false) if change.is_setpoint_ramp() => Self::Ramp,
             (true, false, false) if setpoint == 0.0 => Self::Rest,
             (true, false, false) if setpoint_before == 0.0 => Self::Start,
             (true, false, false) if rises(setpoint_before, setpoint) => Self::Up,
             (true, false, false) => Self::Down,
-            (false, true, false) if rises(trial.force.at(before), trial.force.at(change.to_us)) => Self::Press,
+            (false, true, false) if rises(trial.force_at(before), trial.force_at(change.to_us)) => Self::Press,
             (false, true, false) => Self::Lift,
-            (false, false, true) if rises(trial.temperature.at(before), trial.temperature.at(change.to_us)) => {
+            (false, false, true) if rises(trial.temperature_at(before), trial.temperature_at(change.to_us)) => {
                 Self::Heat
             }
             (false, false, true) => Self::Cool,
@@ -95,18 +98,24 @@ impl Coverage {
     pub fn add(&mut self, scene: &Scene, envelope: &Envelope) {
         let (trial, range) = (&scene.judged, &envelope.range);
         *self.histories.entry(scene.earlier.len()).or_default() += 1;
-        for (_, level) in &trial.setpoint {
+        for (_, level) in trial.setpoint.points() {
             self.value("setpoint_um", range.setpoint_um, f64::from(*level) / 1e3);
         }
-        for [from, to] in trial.setpoint.array_windows() {
+        for [from, to] in trial.setpoint.points().array_windows().filter(|[from, to]| from.1 != to.1) {
             let height = f64::from(from.1.abs_diff(to.1)) / 1e3;
             self.value("setpoint_change_um", [0.0, range.setpoint_um[1]], height);
         }
         let windows = windows(trial);
+        for window in windows.iter().filter(|window| window.change.is_setpoint_ramp()) {
+            let Change { from_us, to_us, .. } = window.change;
+            let height = (trial.setpoint_at(to_us) - trial.setpoint_at(from_us)).abs();
+            let rate = height / (f64::from(to_us - from_us) * 1e-6);
+            self.value("setpoint_rate_um_per_s", range.setpoint_rate_um_per_s, rate);
+        }
         for window in &windows {
             let at = window.change.to_us;
-            self.value("finger_force_n", range.finger_force_n, trial.force.at(at));
-            self.value("temperature_offset_k", range.temperature_offset_k, trial.temperature.at(at));
+            self.value("finger_force_n", range.finger_force_n, trial.force_at(at));
+            self.value("temperature_offset_k", range.temperature_offset_k, trial.temperature_at(at));
             self.value("quiet_ms", [0.0, range.long_quiet_ms[0]], f64::from(window.quiet_us()) / 1e3);
         }
         let resonance_hz = trial.mode_at(&envelope.plate, 0).omega0 / TAU;

@@ -33,6 +33,8 @@ pub(crate) enum Gap {
     Long(u32),
     /// Until 100 ms or 1 s after the start (a counter overflows), plus this many control periods.
     AtCounterEnd(i32),
+    /// Until this many control periods after the start.
+    UntilSample(u32),
 }
 
 #[derive(Debug, Clone)]
@@ -142,11 +144,11 @@ fn kind() -> BoxedStrategy<EventKind> {
     (0..EventKind::ALL.len()).prop_map(|index| EventKind::ALL.get(index).copied().unwrap_or(EventKind::Step)).boxed()
 }
 
-fn event(envelope: &Envelope, kind: BoxedStrategy<EventKind>, is_long: bool) -> BoxedStrategy<EventDraw> {
+fn event(envelope: &Envelope, kind: BoxedStrategy<EventKind>, gap: BoxedStrategy<Gap>) -> BoxedStrategy<EventDraw> {
     let range = &envelope.range;
     let fields = (
         kind,
-        gap(envelope, is_long),
+        gap,
         any::<bool>(),
         target(grid(range.setpoint_um, USUAL_LEVEL_UM, LEVEL_STEP_UM)),
         target(grid(range.finger_force_n, 0.0, FORCE_STEP_N)),
@@ -221,10 +223,15 @@ fn configuration(envelope: &Envelope, stratum: &Stratum, has_law: bool) -> Boxed
         .boxed()
 }
 
-fn trial(envelope: &Envelope, kinds: &[EventKind], events: [u32; 2], is_long: bool) -> BoxedStrategy<TrialDraw> {
+/// `fixed` are the kinds of the first events and the time before each.
+fn trial(
+    envelope: &Envelope,
+    fixed: Vec<(EventKind, BoxedStrategy<Gap>)>,
+    events: [u32; 2],
+) -> BoxedStrategy<TrialDraw> {
     let range = &envelope.range;
     let [fewest, most] = events.map(|count| count as usize);
-    let fixed = kinds.iter().map(|kind| event(envelope, Just(*kind).boxed(), is_long)).collect::<Vec<_>>();
+    let fixed: Vec<_> = fixed.into_iter().map(|(kind, gap)| event(envelope, Just(kind).boxed(), gap)).collect();
     let further = fewest.saturating_sub(fixed.len())..=most.saturating_sub(fixed.len());
     // The stratum requires each of these events, but shrinking may remove it.
     let fixed: Vec<_> = fixed.into_iter().map(|event| (flags::weighted(1.0), event)).collect();
@@ -234,7 +241,7 @@ fn trial(envelope: &Envelope, kinds: &[EventKind], events: [u32; 2], is_long: bo
         prop_oneof![4 => Just(Target::At(0)), 3 => target(grid(range.finger_force_n, 0.0, FORCE_STEP_N))],
         prop_oneof![4 => Just(Target::At(0)), 3 => target(grid(range.temperature_offset_k, 0.0, TEMPERATURE_STEP_K))],
         fixed,
-        vec(event(envelope, kind(), false), further),
+        vec(event(envelope, kind(), gap(envelope, false)), further),
         gap(envelope, false),
         0..=40_u32,
     );
@@ -252,11 +259,17 @@ pub(crate) fn scene(envelope: &Envelope, stratum: &Stratum) -> BoxedStrategy<Sce
         let own = (configuration(envelope, &Stratum::any_configuration(stratum), true), flags::ANY);
         let own = own.prop_map(|(configuration, is_own)| is_own.then_some(configuration));
         let [fewest, most] = envelope.count.earlier_trials.map(|count| count as usize);
-        vec((own, trial(envelope, &[], [1, 2], false)), fewest..=most).boxed()
+        vec((own, trial(envelope, Vec::new(), [1, 2])), fewest..=most).boxed()
     } else {
         Just(Vec::new()).boxed()
     };
-    let judged = trial(envelope, &stratum.kinds, envelope.count.events, stratum.is_long);
+    let judged = if stratum.is_endurance {
+        let fixed = [(EventKind::Rest, Gap::Long(ENDURANCE_REST_MS)), (EventKind::Step, Gap::UntilSample(ENDURANCE))];
+        trial(envelope, fixed.map(|(kind, gap)| (kind, Just(gap).boxed())).to_vec(), [2, 3])
+    } else {
+        let fixed = stratum.kinds.iter().map(|kind| (*kind, gap(envelope, stratum.is_long)));
+        trial(envelope, fixed.collect(), envelope.count.events)
+    };
     let faults =
         if stratum.has_fault { vec(LineFaultDraw::strategy(), 1..=2).boxed() } else { Just(Vec::new()).boxed() };
     (earlier, configuration(envelope, stratum, false), judged, faults)
@@ -271,6 +284,8 @@ pub(crate) enum EventKind {
     Staircase,
     /// The setpoint is 0 for some time.
     Rest,
+    /// The setpoint changes at a constant rate.
+    Ramp,
     Touch,
     Press,
     Shock,
@@ -280,12 +295,21 @@ pub(crate) enum EventKind {
 }
 
 impl EventKind {
-    pub(crate) const ALL: [Self; 8] =
-        [Self::Step, Self::Staircase, Self::Rest, Self::Touch, Self::Press, Self::Shock, Self::Heat, Self::Both];
+    pub(crate) const ALL: [Self; 9] = [
+        Self::Step,
+        Self::Staircase,
+        Self::Rest,
+        Self::Touch,
+        Self::Press,
+        Self::Shock,
+        Self::Heat,
+        Self::Both,
+        Self::Ramp,
+    ];
 }
 
 /// Properties of a scene that its number determines. All other properties are drawn.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 #[allow(clippy::struct_excessive_bools, reason = "independent choices")]
 pub(crate) struct Stratum {
     /// Choice of the control period. 0: usual; 1: shortest; 2: longest; larger numbers: drawn.
@@ -304,6 +328,8 @@ pub(crate) struct Stratum {
     /// True if setpoints of the earlier trials may exceed the reach of the drive limit.
     pub(crate) is_overloaded_before: bool,
     pub(crate) is_long: bool,
+    /// True if the trial has a rest of seconds and takes more than a minute.
+    pub(crate) is_endurance: bool,
     pub(crate) sine: Option<SineOf>,
     /// True if time stamps of later plays pass 2^16 ms, 2^31 µs and 2^32 µs (counter overflows).
     pub(crate) shifts_time: bool,
@@ -320,11 +346,18 @@ pub(crate) enum SineOf {
 }
 
 const PAIRS: u64 = (EventKind::ALL.len() * EventKind::ALL.len()) as u64;
-/// Has no common divisor with [`PAIRS`], so 64 scenes contain all pairs of event kinds.
+/// Has no common divisor with [`PAIRS`], so as many scenes contain all pairs of event kinds.
 const PAIR_STRIDE: u64 = 37;
 const LONG_EVERY: u64 = 41;
 const SINE_EVERY: u64 = 17;
 const SCRIPTS_EVERY: u64 = 512;
+/// One scene in this many, in the first round at this place, is a long trial.
+const ENDURANCE_EVERY: u64 = 512;
+const ENDURANCE_AT: u64 = 59;
+/// Control periods until the step of a long trial: more than 2^16, and at the usual period more than
+/// 2^16 ms and 2^26 µs.
+const ENDURANCE: u32 = 68_000;
+const ENDURANCE_REST_MS: u32 = 4_000;
 /// Scenes with a history or other time stamps have other remainders.
 const RELATION_EVERY: u64 = 3;
 
@@ -334,7 +367,11 @@ fn in_turn(number: u64) -> Relation {
 }
 
 impl Stratum {
-    pub(crate) fn of(index: u64) -> Self {
+    /// Without `has_endurance` no trial is long.
+    pub(crate) fn of(index: u64, has_endurance: bool) -> Self {
+        if has_endurance && index % ENDURANCE_EVERY == ENDURANCE_AT {
+            return Self { is_endurance: true, ..Self::default() };
+        }
         let pair = index.wrapping_mul(PAIR_STRIDE) % PAIRS;
         let kinds = EventKind::ALL.len() as u64;
         let kind = |number: u64| EventKind::ALL.get(number as usize).copied();
@@ -349,6 +386,7 @@ impl Stratum {
             is_overloaded: index % 13 == 6,
             is_overloaded_before: index % 5 == 2,
             is_long: index % LONG_EVERY == 11,
+            is_endurance: false,
             sine: match index % (2 * SINE_EVERY) {
                 4 => Some(SineOf::Force),
                 21 => Some(SineOf::Temperature),

@@ -29,6 +29,10 @@ pub struct Ranges {
     /// Setpoints above 0, µm.
     #[schemars(inner(range(min = 0.01, max = 100.0)))]
     pub setpoint_um: [f64; 2],
+    /// Rate of a setpoint ramp, µm/s; default: 0.2 to 50.
+    #[serde(default = "Ranges::setpoint_rate")]
+    #[schemars(inner(range(min = 0.001, max = 1e4)))]
+    pub setpoint_rate_um_per_s: [f64; 2],
     /// Normal force of the finger, N.
     #[schemars(inner(range(min = 0.0, max = 20.0)))]
     pub finger_force_n: [f64; 2],
@@ -87,6 +91,12 @@ pub struct Ranges {
     /// Time of a long hold or rest between two changes, ms.
     #[schemars(inner(range(min = 1.0, max = 1e5)))]
     pub long_quiet_ms: [f64; 2],
+}
+
+impl Ranges {
+    const fn setpoint_rate() -> [f64; 2] {
+        [0.2, 50.0]
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -57,6 +57,8 @@ pub struct ExploreConfig {
     pub regressions: Vec<Regression>,
     /// If present, a sequence of messages follows each scene.
     pub sequences: Option<SequenceLimits>,
+    /// True if one scene in 512 takes more than a minute of the rig's time.
+    pub has_endurance: bool,
     /// True if later scenes and sequences are derived from those that reached something new.
     pub is_guided: bool,
     /// First instructions of the blocks to which the branches of the controller's image lead. Empty
@@ -66,7 +68,8 @@ pub struct ExploreConfig {
 
 impl ExploreConfig {
     pub fn generator(&self) -> Generator<'_> {
-        Generator { envelope: &self.envelope, seed: self.seed, law: self.law, laws: &self.laws }
+        let Self { envelope, seed, law, laws, has_endurance, .. } = self;
+        Generator { envelope, seed: *seed, law: *law, laws, has_endurance: *has_endurance }
     }
 
     /// The page of the protocol defines the commands of some laws only.
@@ -336,7 +339,9 @@ pub fn explore_and_record<L: RecordingLink>(
                     exploration.guidance.derived_scenes += u64::from(is_derived);
                     exploration.add(&scene, index, &result, &config.envelope);
                     let features = std::mem::take(&mut result.features);
-                    round.insert(index * ITEMS, (features, Parent::Scene(Box::new(drawn))));
+                    if !drawn.0.is_endurance {
+                        round.insert(index * ITEMS, (features, Parent::Scene(Box::new(drawn))));
+                    }
                     if !result.failures.is_empty() {
                         exploration.failed.push(FailedScene { index, scene, failures: result.failures, history });
                     }
@@ -482,7 +487,7 @@ impl<'a, L: RecordingLink> SceneWorker<'a, L> {
     fn play(&mut self, index: u64, corpus: &Corpus) -> Result<Option<PlayedScene>, ExploreError> {
         let generator = self.config.generator();
         let drawn = generator.draw(index).map_err(ExploreError::Strategy)?;
-        let may_derive = self.config.is_guided && drawn.0.scripts.is_none();
+        let may_derive = self.config.is_guided && drawn.0.scripts.is_none() && !drawn.0.is_endurance;
         let parents = corpus.scene_parents(self.config.seed, index).filter(|_| may_derive);
         let is_derived = parents.is_some();
         let most_events = self.config.envelope.count.events[1] as usize;

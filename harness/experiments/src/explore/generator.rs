@@ -37,6 +37,7 @@ pub struct Generator<'a> {
     pub seed: u64,
     pub law: ExploredLaw,
     pub laws: &'a [LawId],
+    pub has_endurance: bool,
 }
 
 pub struct SceneTree<'a> {
@@ -74,7 +75,7 @@ impl<'a> Generator<'a> {
         hash.update(index.to_le_bytes());
         let random = TestRng::from_seed(RngAlgorithm::ChaCha, &hash.finalize());
         let mut runner = TestRunner::new_with_rng(Config::default(), random);
-        let stratum = Stratum::of(index);
+        let stratum = Stratum::of(index, self.has_endurance);
         let strategy: BoxedStrategy<SceneDraw> = draw::scene(self.envelope, &stratum);
         let tree = strategy.new_tree(&mut runner).map_err(|reason| reason.to_string())?;
         Ok(SceneTree { generator: self.clone(), stratum, tree })
@@ -186,7 +187,7 @@ impl<'a> Generator<'a> {
             delay_us,
             start_frequency_tenths: 0,
             duration_us,
-            setpoint: Vec::new(),
+            setpoint: Course::Hold(Vec::new()),
             force: force.finish(),
             temperature: temperature.finish(),
             tuning,
@@ -195,10 +196,7 @@ impl<'a> Generator<'a> {
         self.add_sine(&mut trial, draw, stratum.sine);
         let share = if stratum.is_overloaded { MAX_OVERLOAD } else { MAX_STEADY_DRIVE };
         let highest = trial.largest_setpoint_nm(&self.envelope.plate, share);
-        let mut points: Vec<(u32, u32)> =
-            setpoint.into_iter().map(|(at, level)| (at, (level as u32).min(highest))).collect();
-        points.dedup_by(|next, last| next.1 == last.1);
-        trial.setpoint = points;
+        trial.setpoint = setpoint.limited(highest).finish();
         let resonance_hz = trial.mode_at(&self.envelope.plate, 0).omega0 / TAU;
         let start_hz = resonance_hz + f64::from(draw.detuning) * DETUNING_STEP_HZ;
         trial.start_frequency_tenths = (start_hz * 10.0).round() as u32;
@@ -213,7 +211,7 @@ impl<'a> Generator<'a> {
             Some(SineOf::Temperature) => (&mut trial.temperature, range.temperature_rate_k_per_s[1]),
             None => return,
         };
-        let [low, high] = course.range();
+        let [low, high] = course.range().map(|value| value / 100.0);
         let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
         let mean = f64::midpoint(low, high).max(amplitude);
         // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the
@@ -242,8 +240,7 @@ struct Timeline<'a> {
     /// Factor of quiet times. It is larger for long periods and for slow laws.
     stretch: f64,
     now_us: u32,
-    /// Instants, µs, and setpoints, nm.
-    setpoint: Vec<(u32, i32)>,
+    setpoint: CourseBuilder,
     force: CourseBuilder,
     temperature: CourseBuilder,
     /// Earlier setpoints, forces and temperatures.
@@ -258,13 +255,13 @@ impl<'a> Timeline<'a> {
             period_us: configuration.period_us,
             stretch: period_ms.max(1.0) * generator.law.stretch(),
             now_us: 0,
-            setpoint: Vec::new(),
+            setpoint: CourseBuilder::new(),
             force: CourseBuilder::new(),
             temperature: CourseBuilder::new(),
             values: [Vec::new(), Vec::new(), Vec::new()],
         };
         let level = timeline.level(draw.level);
-        timeline.setpoint.push((0, level));
+        timeline.setpoint.step(0, level);
         let [force, temperature] = [timeline.force(draw.force), timeline.temperature(draw.temperature)];
         timeline.force.step(0, force);
         timeline.temperature.step(0, temperature);
@@ -316,6 +313,7 @@ impl<'a> Timeline<'a> {
                 let until = next.copied().unwrap_or(self.now_us + 10 * self.period_us);
                 until.saturating_add_signed(periods * self.period_us.cast_signed()) - self.now_us
             }
+            Gap::UntilSample(sample) => (sample * self.period_us).saturating_sub(self.now_us),
         }
     }
 
@@ -329,16 +327,18 @@ impl<'a> Timeline<'a> {
         self.now_us = match event.kind {
             EventKind::Step => {
                 let level = self.level(event.level);
-                self.setpoint.push((at, level));
+                self.setpoint.step(at, level);
                 at
             }
             EventKind::Staircase => self.add_staircase(event, at),
             EventKind::Rest => {
                 let end = at + self.gap_us(event.gap).max(2 * self.period_us);
                 let level = self.level(event.level);
-                self.setpoint.extend([(at, 0), (end, level)]);
+                self.setpoint.step(at, 0);
+                self.setpoint.step(end, level);
                 end
             }
+            EventKind::Ramp => self.ramp_setpoint(event, at),
             EventKind::Touch => {
                 let force = self.force(event.force);
                 self.force.step(at, force);
@@ -363,38 +363,57 @@ impl<'a> Timeline<'a> {
         let mut end = at;
         for step in 1..=count {
             end = at + step_us * (step - 1) as u32;
-            self.setpoint.push((end, from + (to - from) * step / count));
+            self.setpoint.step(end, from + (to - from) * step / count);
         }
         end
     }
 
+    /// A slow ramp ends before its level is reached.
+    fn ramp_setpoint(&mut self, event: &EventDraw, at: u32) -> u32 {
+        let from = self.setpoint.last();
+        let rate = rate(self.envelope.range.setpoint_rate_um_per_s, event.slowness) * 1e3;
+        let reach = (rate * MAX_SETPOINT_RAMP_S) as i32;
+        let to = self.level(event.level).clamp(from - reach, from + reach);
+        if let Some(last) = self.values[0].last_mut() {
+            *last = to;
+        }
+        let duration = ramp_us(f64::from((to - from).abs()) / rate);
+        self.setpoint.ramp(at, duration, to)
+    }
+
     fn press(&mut self, event: &EventDraw, at: u32) -> u32 {
         let to = self.force(event.force);
-        let duration = ramp_us(self.force.last(), to, self.envelope.range.force_rate_n_per_s, event.slowness);
+        let rate = rate(self.envelope.range.force_rate_n_per_s, event.slowness) * 100.0;
+        let duration = ramp_us((f64::from((to - self.force.last()).abs()) / rate).min(MAX_RAMP_S));
         self.force.ramp(at, duration, to)
     }
 
     fn heat(&mut self, event: &EventDraw, at: u32) -> u32 {
         let to = self.temperature(event.temperature);
-        let rates = self.envelope.range.temperature_rate_k_per_s;
-        let duration = ramp_us(self.temperature.last(), to, rates, event.slowness);
+        let rate = rate(self.envelope.range.temperature_rate_k_per_s, event.slowness) * 100.0;
+        let duration = ramp_us((f64::from((to - self.temperature.last()).abs()) / rate).min(MAX_RAMP_S));
         self.temperature.ramp(at, duration, to)
     }
 }
 
-/// Longest duration of a ramp, µs. A ramp that would take longer gets a higher rate.
-const MAX_RAMP_US: f64 = 100_000.0;
+/// Longest duration of a ramp of force or temperature. A ramp that would take longer gets a higher
+/// rate.
+const MAX_RAMP_S: f64 = 0.1;
+const MAX_SETPOINT_RAMP_S: f64 = 0.3;
 
-/// Duration of a ramp, µs, a multiple of 0.1 ms. [`EventDraw`] defines `slowness`.
-fn ramp_us(from: i32, to: i32, [slowest, fastest]: [f64; 2], slowness: u32) -> u32 {
-    let rate = fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0);
-    let us = f64::from((to - from).abs()) / 100.0 / rate * 1e6;
-    ((us.min(MAX_RAMP_US) / 100.0).ceil() as u32).max(1) * 100
+/// [`EventDraw`] defines `slowness`.
+fn rate([slowest, fastest]: [f64; 2], slowness: u32) -> f64 {
+    fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0)
+}
+
+/// Duration of a ramp, µs, a multiple of 0.1 ms.
+fn ramp_us(seconds: f64) -> u32 {
+    ((seconds * 1e4).ceil() as u32).max(1) * 100
 }
 
 /// If a course has ramps, it is linear between its points. A step in it then becomes a ramp of this
 /// duration, µs.
-const EDGE_US: u32 = 10;
+pub(crate) const EDGE_US: u32 = 10;
 
 pub(crate) struct CourseBuilder {
     start: i32,
@@ -427,6 +446,17 @@ impl CourseBuilder {
         }
         self.moves.push((at_us, at_us + duration_us, value));
         at_us + duration_us
+    }
+
+    /// The course with no value above `highest`.
+    fn limited(mut self, highest: i32) -> Self {
+        self.start = self.start.min(highest);
+        let mut last = self.start;
+        self.moves.retain_mut(|(_, _, value)| {
+            *value = (*value).min(highest);
+            std::mem::replace(&mut last, *value) != *value
+        });
+        self
     }
 
     pub(crate) fn finish(self) -> Course {

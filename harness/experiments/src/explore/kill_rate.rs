@@ -218,6 +218,7 @@ impl KillRateConfig {
             compares_reference,
             regressions: Vec::new(),
             sequences: Some(SequenceLimits::new(&identity, false, true, u64::MAX)),
+            has_endurance: true,
             is_guided: true,
             branch_outcomes: BTreeSet::new(),
         };

@@ -135,6 +135,12 @@ impl<'a> Limits<'a> {
         self.settling(time_us, from, to, Knowledge::Unknown) + after
     }
 
+    /// Time by which the amplitude lags behind a ramp of the setpoint at `time_us`: a period for the
+    /// sample, the delay, and the sum of the errors of the slowest pole.
+    pub(crate) fn lag(&self, time_us: u32) -> f64 {
+        self.period_s + self.delay_s + self.period_s / (1.0 - self.pole(&self.mode(time_us)))
+    }
+
     /// The error `band · to` relative to the height of the step, at most `band`.
     fn share(from: f64, to: f64, band: f64) -> f64 {
         band * (to / (from - to).abs()).min(1.0)
@@ -154,7 +160,7 @@ impl<'a> Limits<'a> {
 
     /// Largest proportional gain of an amplitude loop, Vpp per µm.
     pub(crate) fn strongest_gain(&self) -> f64 {
-        let heaviest = self.design.damping_ratio_at(self.trial.force.range()[1]);
+        let heaviest = self.design.damping_ratio_at(self.trial.largest_force());
         let kept = (-self.design.sigma0 * heaviest * self.period_s).exp();
         heaviest / (self.design.gain * (1.0 - kept))
     }

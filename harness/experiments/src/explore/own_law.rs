@@ -13,7 +13,7 @@ use platebench_rig::{CancelToken, Link};
 use std::f64::consts::TAU;
 
 /// Usual setpoint of the measured steps, nm.
-const LEVEL_NM: u32 = 1_000;
+const LEVEL_NM: i32 = 1_000;
 /// Time at the setpoint, and the same time at rest, µs.
 const HALF_US: u32 = 250_000;
 /// A steady amplitude and frequency are this near to the setpoint, relative, and to the resonance, Hz.
@@ -36,7 +36,7 @@ pub fn measure_own_law<L: Link>(
     let mut executor = Executor::new(connect, settings, ends);
     let mut largest = [None::<u32>; 3];
     for trial in trials(envelope) {
-        let rest_us = trial.setpoint.last().map_or(0, |(at, _)| *at);
+        let rest_us = trial.setpoint.points().last().map_or(0, |(at, _)| *at);
         let builder = ScenarioBuilder { base: &envelope.plate, title: "Steps", source: "measured", plate_prefix: "" };
         let scene = Scene { earlier: Vec::new(), judged: trial, count: 1, script_seed: None, relation: None };
         let scenario = builder.build(&scene, &[]).check()?;
@@ -66,7 +66,7 @@ fn trials(envelope: &Envelope) -> Vec<SceneTrial> {
             delay_us: 0,
             start_frequency_tenths: 0,
             duration_us: 2 * HALF_US,
-            setpoint: vec![(0, LEVEL_NM), (HALF_US, 0)],
+            setpoint: Course::Hold(vec![(0, LEVEL_NM), (HALF_US, 0)]),
             force: Course::Hold(vec![(0, force)]),
             temperature: Course::Hold(vec![(0, 0)]),
             tuning: Tuning::default(),

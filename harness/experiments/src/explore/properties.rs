@@ -1,6 +1,6 @@
 //! Turns the windows of a trial into expectations, the properties that every scene must have.
 
-use crate::explore::generator::MAX_STEADY_DRIVE;
+use crate::explore::generator::{EDGE_US, MAX_STEADY_DRIVE};
 use crate::explore::limits::{BAND, Knowledge, Limits};
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Relation, Scene, SceneTrial};
@@ -39,6 +39,8 @@ pub enum Property {
     /// A disturbance moves the amplitude only as far as physics requires.
     Deviation,
     Recovery,
+    /// The amplitude follows a ramp of the setpoint.
+    Tracking,
     /// Trials that differ only in history and time stamps have the same response.
     SameResponse,
     /// Half the setpoint and half the drive limit give half the response.
@@ -70,7 +72,7 @@ impl Property {
             Self::Ripple => Metric::RipplePercent,
             Self::Frequency => Metric::FrequencyError,
             Self::RestDrive => Metric::RestDrive,
-            Self::Deviation => Metric::PeakDeviation,
+            Self::Deviation | Self::Tracking => Metric::PeakDeviation,
             Self::Recovery => Metric::RecoveryTime,
             Self::Reference => Metric::ReferenceDifference,
             Self::Answers => Metric::ProtocolDifferences,
@@ -89,7 +91,8 @@ impl Property {
             | Self::Frequency
             | Self::RestDrive
             | Self::Deviation
-            | Self::Recovery => true,
+            | Self::Recovery
+            | Self::Tracking => true,
             Self::SameResponse
             | Self::ProportionalResponse
             | Self::MirroredResponse
@@ -143,7 +146,7 @@ const OVERSHOOT_PERCENT: f64 = 10.0;
 const UNKNOWN_OVERSHOOT_PERCENT: f64 = 30.0;
 /// Part of the overshoot that does not depend on the height of the step, percent of the setpoint.
 const OVERSHOOT_OF_SETPOINT_PERCENT: f64 = 1.0;
-/// Factor on the effect of a disturbance before the loop reacts.
+/// Factor on the effect of a disturbance before the loop reacts, and on the lag behind a ramp.
 const DEVIATION_FACTOR: f64 = 2.0;
 /// Control periods after a setpoint step. In this time, a law that computes drives in advance
 /// mistakes a change of the damping for a late drive.
@@ -193,12 +196,11 @@ pub fn relation_demand(scene: &Scene, base: &Plate) -> Option<Demand> {
         Relation::Proportional | Relation::Mirrored => 0.0,
     };
     let difference = if trial.law.is_own() { OWN_RELATION_DIFFERENCE } else { RELATION_DIFFERENCE };
-    let highest_nm = trial.setpoint.iter().map(|(_, level)| *level).max().unwrap_or(0);
     Some(Demand {
         property: relation.property(),
         from_us: 0,
         until_us: trial.played_us(scene.relation),
-        at_most: f64::from(highest_nm.max(1)) * 1e-3 * (difference + predicted),
+        at_most: trial.setpoint.range()[1].max(1.0) * 1e-3 * (difference + predicted),
         band_percent: None,
     })
 }
@@ -225,7 +227,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         return Vec::new();
     }
     let highest = trial.largest_setpoint_nm(base, MAX_STEADY_DRIVE);
-    if trial.setpoint.iter().any(|(_, level)| *level > highest) {
+    if trial.setpoint.range()[1] > f64::from(highest) {
         return Vec::new();
     }
     let mut demands = Vec::new();
@@ -284,9 +286,9 @@ struct WindowJudge<'a> {
 
 /// True if the damping changes so soon after a step that the law mistakes it for a late drive.
 fn resembles_late_drive(trial: &SceneTrial, change: Change) -> bool {
-    let mut steps = trial.setpoint.iter().map(|(at, _)| *at).filter(|at| *at <= change.to_us);
-    let steered_us = STEERING_PERIODS * trial.period_us;
-    change.force && steps.next_back().is_some_and(|step| change.from_us <= step + steered_us)
+    let moves = trial.setpoint.moves();
+    let last = moves.iter().rfind(|[from, _]| *from <= change.to_us).map_or(0, |[_, to]| (*to).min(change.to_us));
+    change.force && change.from_us <= last + STEERING_PERIODS * trial.period_us
 }
 
 impl WindowJudge<'_> {
@@ -322,7 +324,9 @@ impl WindowJudge<'_> {
         if self.noise_percent(after) > 3.0 {
             return;
         }
-        if change.setpoint && !change.force && !change.temperature {
+        if change.is_setpoint_ramp() {
+            self.add_tracking(demands);
+        } else if change.setpoint && !change.force && !change.temperature {
             self.add_step(demands, before, after);
         } else if !change.setpoint {
             self.add_disturbance(demands, after);
@@ -332,6 +336,11 @@ impl WindowJudge<'_> {
 
     fn is_own(&self) -> bool {
         self.limits.properties.own.is_some()
+    }
+
+    /// Allowance for an own law that calculates in steps of a fixed size.
+    fn own_percent(&self, setpoint: f64) -> f64 {
+        if self.is_own() { OWN_STEADY_PERCENT + OWN_STEADY_UM / setpoint * 100.0 } else { 0.0 }
     }
 
     fn noise_percent(&self, setpoint: f64) -> f64 {
@@ -348,7 +357,7 @@ impl WindowJudge<'_> {
     fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
         let PropertyWindow { change, until_us } = self.window;
         let is_first = change.from_us == 0;
-        if !(is_first || self.was_steady) || change.from_us != change.to_us {
+        if !(is_first || self.was_steady) {
             return;
         }
         let is_forgotten = before == 0.0 && self.limits.properties.steers;
@@ -370,6 +379,23 @@ impl WindowJudge<'_> {
             let at_most = of_step + of_setpoint * after.max(before) / (after - before).abs();
             demands.push(self.demand(Property::Overshoot, change.to_us, until_us, at_most));
         }
+    }
+
+    /// During a ramp the amplitude lags behind the setpoint by rate · lag.
+    fn add_tracking(&self, demands: &mut Vec<Demand>) {
+        let Change { from_us, to_us, .. } = self.window.change;
+        let points = self.trial.setpoint.points().array_windows();
+        let parts = points.filter(|[(start, _), _]| (from_us..to_us).contains(start));
+        let rate = |[(start, low), (end, high)]: &[(u32, i32); 2]| f64::from(high - low).abs() / f64::from(end - start);
+        let fastest = parts.clone().map(rate).fold(0.0, f64::max) * 1e3;
+        let lowest = parts.flatten().map(|(_, level)| f64::from(*level) * 1e-3).fold(f64::INFINITY, f64::min);
+        if !self.was_steady || lowest == 0.0 {
+            return;
+        }
+        let lag = DEVIATION_FACTOR * fastest * self.limits.lag(to_us) / lowest * 100.0;
+        let steady = DEVIATION_PERCENT + STATIC_OF_MISMATCH * self.mismatch * 100.0 + self.own_percent(lowest);
+        let at_most = lag + steady + self.noise_percent(lowest);
+        demands.push(self.demand(Property::Tracking, from_us, to_us, at_most));
     }
 
     fn add_disturbance(&self, demands: &mut Vec<Demand>, level: f64) {
@@ -407,11 +433,8 @@ impl WindowJudge<'_> {
         // tan φ = Δω/σ: an error of the phase looks like a detuning, the larger the more the finger
         // damps.
         let noise_hz = noise / 100.0 * self.limits.mode(change.to_us).sigma / TAU;
-        let (own_percent, own_hz) = if self.is_own() {
-            (OWN_STEADY_PERCENT + OWN_STEADY_UM / level * 100.0, FREQUENCY_ERROR_HZ)
-        } else {
-            (0.0, 0.0)
-        };
+        let own_percent = self.own_percent(level);
+        let own_hz = if self.is_own() { FREQUENCY_ERROR_HZ } else { 0.0 };
         let pairs = [
             (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise + own_percent),
             (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise + 2.0 * own_percent),
@@ -433,6 +456,13 @@ pub(crate) struct Change {
     pub(crate) setpoint: bool,
     pub(crate) force: bool,
     pub(crate) temperature: bool,
+}
+
+impl Change {
+    /// A step in a course with ramps takes [`EDGE_US`].
+    pub(crate) const fn is_setpoint_ramp(&self) -> bool {
+        self.setpoint && !self.force && !self.temperature && self.to_us - self.from_us > EDGE_US
+    }
 }
 
 /// A change, and the time without changes after it.
@@ -457,9 +487,8 @@ fn changes(trial: &SceneTrial) -> Vec<Change> {
         temperature,
     };
     // The plate starts at rest, so the setpoint at the start is a step.
-    let before = std::iter::once(0).chain(trial.setpoint.iter().map(|(_, level)| *level));
-    let moved = trial.setpoint.iter().zip(before).filter(|((_, level), before)| level != before);
-    let setpoints = moved.map(|((at, _), _)| change([*at; 2], true, false, false));
+    let start = (trial.setpoint.at(0) > 0.0).then_some([0; 2]);
+    let setpoints = start.into_iter().chain(trial.setpoint.moves()).map(|ends| change(ends, true, false, false));
     let forces = trial.force.moves().into_iter().map(|ends| change(ends, false, true, false));
     let temperatures = trial.temperature.moves().into_iter().map(|ends| change(ends, false, false, true));
     let mut all: Vec<Change> = setpoints.chain(forces).chain(temperatures).collect();

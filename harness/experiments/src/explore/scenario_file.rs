@@ -19,6 +19,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 const TRACE_STEP_MS: f64 = 0.1;
+/// Trace step of trials that are longer than [`LONG_TRIAL_US`].
+const LONG_TRACE_STEP_MS: f64 = 1.0;
+const LONG_TRIAL_US: u32 = 20_000_000;
 /// Largest difference between two trials that differ only in history or time stamps, µm. This is
 /// some tens of times the wire's resolution at the largest setpoints.
 pub(crate) const SAME_RESPONSE_UM: f64 = 1e-5;
@@ -78,7 +81,7 @@ impl ScenarioBuilder<'_> {
             plate: self.plate_file(first, resonance, &mut plates),
             duration_ms: ms(trial.played_us(scene.relation)),
             tags: vec!["explored".to_owned()],
-            trace_step_ms: Some(TRACE_STEP_MS),
+            trace_step_ms: Some(if trial.duration_us > LONG_TRIAL_US { LONG_TRACE_STEP_MS } else { TRACE_STEP_MS }),
             model: scene.relation.filter(|relation| relation.needs_envelope()).map(|_| "envelope".to_owned()),
             only_if_named: None,
             expected_exit: None,
@@ -246,29 +249,25 @@ fn ms(us: u32) -> f64 {
     f64::from(us) / 1e3
 }
 
-fn points<T: Copy>(points: &[(u32, T)], value: impl Fn(T) -> f64) -> Vec<[f64; 2]> {
-    points.iter().map(|(at, level)| [ms(*at), value(*level)]).collect()
-}
-
 fn profiles(trial: &SceneTrial, factor: f64) -> RawProfiles {
     RawProfiles {
-        setpoint_um: RawProfile::Shape(RawShape::Hold(points(&trial.setpoint, |nm| f64::from(nm) / 1e3 * factor))),
-        temperature_offset_k: profile(&trial.temperature),
-        finger_force_n: profile(&trial.force),
+        setpoint_um: profile(&trial.setpoint, |nm| nm / 1e3 * factor),
+        temperature_offset_k: profile(&trial.temperature, |value| value / 100.0),
+        finger_force_n: profile(&trial.force, |value| value / 100.0),
     }
 }
 
-fn profile(course: &Course) -> RawProfile {
-    let hundredths = |value: i32| f64::from(value) / 100.0;
+/// `unit` converts a value of the course to the unit of the profile.
+fn profile(course: &Course, unit: impl Fn(f64) -> f64) -> RawProfile {
+    let value = |value: i32| unit(f64::from(value));
+    let points = |points: &[(u32, i32)]| points.iter().map(|(at, level)| [ms(*at), value(*level)]).collect();
     match course {
-        Course::Hold(list) if list.len() == 1 => {
-            RawProfile::Number(list.first().map_or(0.0, |(_, value)| hundredths(*value)))
-        }
-        Course::Hold(list) => RawProfile::Shape(RawShape::Hold(points(list, hundredths))),
-        Course::Linear(list) => RawProfile::Shape(RawShape::Linear(points(list, hundredths))),
+        Course::Hold(list) if list.len() == 1 => RawProfile::Number(list.first().map_or(0.0, |(_, only)| value(*only))),
+        Course::Hold(list) => RawProfile::Shape(RawShape::Hold(points(list))),
+        Course::Linear(list) => RawProfile::Shape(RawShape::Linear(points(list))),
         Course::Sine { mean, amplitude, frequency_tenths } => RawProfile::Shape(RawShape::Sine(RawSine {
-            mean: hundredths(*mean),
-            amplitude: hundredths(*amplitude),
+            mean: value(*mean),
+            amplitude: value(*amplitude),
             frequency_hz: f64::from(*frequency_tenths) / 10.0,
             phase_deg: 0.0,
         })),

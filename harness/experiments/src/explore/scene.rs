@@ -69,8 +69,8 @@ pub struct SceneTrial {
     /// Excitation frequency at the start, 0.1 Hz.
     pub start_frequency_tenths: u32,
     pub duration_us: u32,
-    /// Instants, µs, and setpoints, nm; each holds until the next one. The first instant is 0.
-    pub setpoint: Vec<(u32, u32)>,
+    /// Setpoint, nm.
+    pub setpoint: Course,
     /// Finger force, 0.01 N.
     pub force: Course,
     /// Temperature offset, 0.01 K.
@@ -114,7 +114,7 @@ impl PlateChoice {
     }
 }
 
-/// A force or temperature over time. The unit of all values is 0.01 N or 0.01 K.
+/// A setpoint, force or temperature over time. The unit of all values is 1 nm, 0.01 N or 0.01 K.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Course {
     /// Instants, µs, and values that hold until the next one. The first instant is 0.
@@ -126,27 +126,35 @@ pub enum Course {
 }
 
 impl Course {
-    /// Value in N or K. At the instant of a step it is the value after the step.
+    /// Instants and values, none for a sine.
+    pub fn points(&self) -> &[(u32, i32)] {
+        match self {
+            Self::Hold(points) | Self::Linear(points) => points,
+            Self::Sine { .. } => &[],
+        }
+    }
+
+    /// At the instant of a step it is the value after the step.
     pub fn at(&self, time_us: u32) -> f64 {
         match self {
             Self::Hold(points) => {
                 let index = points.partition_point(|(at, _)| *at <= time_us).saturating_sub(1);
-                points.get(index).map_or(0.0, |(_, value)| f64::from(*value) / 100.0)
+                points.get(index).map_or(0.0, |(_, value)| f64::from(*value))
             }
             Self::Linear(points) => {
                 let next = points.partition_point(|(at, _)| *at <= time_us);
                 let value = |index: usize| points.get(index).map(|(at, value)| (f64::from(*at), f64::from(*value)));
                 match (value(next.saturating_sub(1)), value(next)) {
                     (Some((from, low)), Some((to, high))) => {
-                        (low + (high - low) * (f64::from(time_us) - from) / (to - from)) / 100.0
+                        low + (high - low) * (f64::from(time_us) - from) / (to - from)
                     }
-                    (Some((_, last)), None) => last / 100.0,
+                    (Some((_, last)), None) => last,
                     (None, _) => 0.0,
                 }
             }
             Self::Sine { mean, amplitude, frequency_tenths } => {
                 let phase = TAU * f64::from(*frequency_tenths) * 0.1 * f64::from(time_us) * 1e-6;
-                (f64::from(*mean) + f64::from(*amplitude) * phase.sin()) / 100.0
+                f64::from(*mean) + f64::from(*amplitude) * phase.sin()
             }
         }
     }
@@ -154,12 +162,10 @@ impl Course {
     pub fn range(&self) -> [f64; 2] {
         match self {
             Self::Hold(points) | Self::Linear(points) => {
-                let values = points.iter().map(|(_, value)| f64::from(*value) / 100.0);
+                let values = points.iter().map(|(_, value)| f64::from(*value));
                 [values.clone().fold(f64::INFINITY, f64::min), values.fold(f64::NEG_INFINITY, f64::max)]
             }
-            Self::Sine { mean, amplitude, .. } => {
-                [mean - amplitude.abs(), mean + amplitude.abs()].map(|value| f64::from(value) / 100.0)
-            }
+            Self::Sine { mean, amplitude, .. } => [mean - amplitude.abs(), mean + amplitude.abs()].map(f64::from),
         }
     }
 
@@ -181,14 +187,27 @@ impl Course {
 impl SceneTrial {
     /// In µm.
     pub fn setpoint_at(&self, time_us: u32) -> f64 {
-        let index = self.setpoint.partition_point(|(at, _)| *at <= time_us).saturating_sub(1);
-        self.setpoint.get(index).map_or(0.0, |(_, level)| f64::from(*level) / 1e3)
+        self.setpoint.at(time_us) / 1e3
+    }
+
+    /// In N.
+    pub fn force_at(&self, time_us: u32) -> f64 {
+        self.force.at(time_us) / 100.0
+    }
+
+    pub fn largest_force(&self) -> f64 {
+        self.force.range()[1] / 100.0
+    }
+
+    /// In K.
+    pub fn temperature_at(&self, time_us: u32) -> f64 {
+        self.temperature.at(time_us) / 100.0
     }
 
     pub fn mode_at(&self, base: &Plate, time_us: u32) -> Mode {
         let conditions = platebench_plate::Conditions {
-            temperature_offset_k: self.temperature.at(time_us),
-            finger_force_n: self.force.at(time_us),
+            temperature_offset_k: self.temperature_at(time_us),
+            finger_force_n: self.force_at(time_us),
         };
         self.plate.apply(base).mode(&conditions)
     }
@@ -202,10 +221,10 @@ impl SceneTrial {
     }
 
     /// Largest setpoint, nm, that needs at most `share` of the drive limit under the largest force.
-    pub fn largest_setpoint_nm(&self, base: &Plate, share: f64) -> u32 {
+    pub fn largest_setpoint_nm(&self, base: &Plate, share: f64) -> i32 {
         let plate = self.plate.apply(base);
-        let ratio = plate.damping_ratio_at(self.force.range()[1]);
-        (share * plate.drive_limit_vpp * plate.gain / ratio * 1e3) as u32
+        let ratio = plate.damping_ratio_at(self.largest_force());
+        (share * plate.drive_limit_vpp * plate.gain / ratio * 1e3) as i32
     }
 }
 

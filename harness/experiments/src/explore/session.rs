@@ -104,6 +104,8 @@ impl ExploreSession {
         if let Some(sequences) = &mut config.sequences {
             sequences.starts_controllers = !kind.loses_bytes();
         }
+        // A board on a line needs some milliseconds for each period.
+        config.has_endurance = !kind.loses_bytes();
         if config.law.is_own() {
             let measured = measure_own_law(&config.envelope, &connect, config.own_clock, cancel, &ends)?;
             config.law = ExploredLaw::Own(measured.ok_or(ExploreError::Cancelled)?);
@@ -200,6 +202,7 @@ impl ExploreSession {
             compares_reference: self.compares_reference,
             sequences: Some(SequenceLimits { is_own_law: law.is_own(), ..sequences }),
             regressions,
+            has_endurance: true,
             is_guided: true,
             branch_outcomes: branch_outcomes(&self.rig)?,
         })

@@ -230,19 +230,31 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
     }
     let ms = trial.duration_us / 1_000;
     trials.push(SceneTrial { duration_us: (ms * 1_000).max(trial.period_us), ..trial.clone() });
-    for index in 0..trial.setpoint.len().saturating_sub(1) {
-        let mut setpoint = trial.setpoint.clone();
-        let (at, _) = setpoint.remove(index);
+    let points = trial.setpoint.points();
+    let with = |points: Vec<(u32, i32)>| {
+        let is_linear = matches!(trial.setpoint, Course::Linear(_));
+        let setpoint = if is_linear { Course::Linear(points) } else { Course::Hold(points) };
+        SceneTrial { setpoint, ..trial.clone() }
+    };
+    if let Course::Linear(points) = &trial.setpoint {
+        // Steps at the ends of the ramps.
+        let mut steps = points.clone();
+        steps.dedup_by_key(|(_, level)| *level);
+        trials.push(SceneTrial { setpoint: Course::Hold(steps), ..trial.clone() });
+    }
+    for index in 0..points.len().saturating_sub(1) {
+        let mut points = points.to_vec();
+        let (at, _) = points.remove(index);
         // The next level starts at the instant of the removed level.
-        if let Some(next) = setpoint.get_mut(index) {
+        if let Some(next) = points.get_mut(index) {
             next.0 = at;
         }
-        trials.push(SceneTrial { setpoint, ..trial.clone() });
+        trials.push(with(points));
     }
-    for index in 1..trial.setpoint.len() {
-        let mut setpoint = trial.setpoint.clone();
-        setpoint.remove(index);
-        trials.push(SceneTrial { setpoint, ..trial.clone() });
+    for index in 1..points.len() {
+        let mut points = points.to_vec();
+        points.remove(index);
+        trials.push(with(points));
     }
     for index in 0..trial.faults.len() {
         let mut faults = trial.faults.clone();
@@ -260,16 +272,18 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
         trials.push(SceneTrial { temperature: constant, ..trial.clone() });
     }
     for (digits, at_digits) in [(500, 5_000), (100, 1_000), (10, 500)] {
-        let round = |value: u32, to: u32| (value + to / 2) / to * to;
-        let setpoint: Vec<_> = trial
-            .setpoint
+        let round = |value: i32, to: i32| (value + to / 2) / to * to;
+        let rounded: Vec<_> = points
             .iter()
-            .map(|(at, level)| (round(*at, at_digits), if *level == 0 { 0 } else { round(*level, digits).max(digits) }))
+            .map(|(at, level)| {
+                let level = if *level == 0 { 0 } else { round(*level, digits).max(digits) };
+                (round(at.cast_signed(), at_digits).cast_unsigned(), level)
+            })
             .collect();
-        if setpoint.is_sorted_by(|one, other| one.0 < other.0)
-            && setpoint.last().is_none_or(|last| last.0 < trial.duration_us)
+        if rounded.is_sorted_by(|one, other| one.0 < other.0)
+            && rounded.last().is_none_or(|last| last.0 < trial.duration_us)
         {
-            trials.push(SceneTrial { setpoint, ..trial.clone() });
+            trials.push(with(rounded));
         }
     }
     trials
@@ -278,8 +292,7 @@ fn simpler_trials(trial: &SceneTrial, end_us: Option<u32>) -> Vec<SceneTrial> {
 fn cut(trial: &SceneTrial, end_us: u32) -> SceneTrial {
     let mut cut = SceneTrial { duration_us: end_us, ..trial.clone() };
     cut.faults.retain(|fault| fault.until_us < end_us);
-    cut.setpoint.retain(|(at, _)| *at < end_us);
-    for course in [&mut cut.force, &mut cut.temperature] {
+    for course in [&mut cut.setpoint, &mut cut.force, &mut cut.temperature] {
         match course {
             Course::Hold(points) => points.retain(|(at, _)| *at < end_us),
             Course::Linear(points) => {

@@ -5,9 +5,10 @@ use crate::trust::mutant_controller::{Mutant, MutantController};
 use crate::trust::mutants::{
     ByteWiseReads, CommandJitter, HandwrittenLoops, NoBadFrameCount, NoChecksumCheck, NoSequenceCheck, Omission,
     RestartAfterStop, RisingDampingOnly, alternating_drive, gains_not_finite, ignored_gains, inverted_frequency,
-    limit_after_law, low_pass_filter, on_command, on_configure, on_sample, other_gains, own_clock, press_latch,
-    repeated_command, reported_compute_time, round_to_step, round_to_timer_ticks, single_precision_phase,
-    slow_setpoint, stale_answer, stale_sample, tight_plausibility_limit, wrapping_counter,
+    limit_after_law, low_pass_filter, off_after_61_s, on_command, on_configure, on_sample, other_gains, own_clock,
+    press_latch, repeated_command, reported_compute_time, round_to_step, round_to_timer_ticks,
+    sample_counter_of_16_bits, single_precision_phase, sleep_at_rest, slow_setpoint, small_changes_ignored,
+    stale_answer, stale_sample, tight_plausibility_limit, wrapping_counter,
 };
 use platebench_model::record::ViolationKind;
 use platebench_model::scenario::Metric;
@@ -21,6 +22,7 @@ const DYNAMICS: &[Metric] =
 const DISTURBANCE: &[Metric] = &[Metric::PeakDeviation, Metric::RecoveryTime];
 const RESONANCE: &[Metric] = &[Metric::FrequencyError, Metric::QuadratureRatio];
 pub(crate) const REFERENCE: &[Metric] = &[Metric::ReferenceDifference, Metric::ProtocolDifferences];
+pub(crate) const SLOW_SETPOINT: &[Metric] = &[Metric::PeakDeviation];
 const SHUTDOWN: &[Metric] = &[Metric::ShutdownTime];
 const RESPONSE: &[Metric] = &[Metric::Overshoot, Metric::SettlingTime, Metric::StaticError, Metric::MissedReplies];
 
@@ -30,6 +32,8 @@ const FIG15: &str = "paper/fig15-frequency.toml";
 const FIG16: &str = "paper/fig16-closed-loop.toml";
 const TEMPERATURE_RAMP: &str = "paper/temperature-ramp.toml";
 const DRUMMING_FINGER: &str = "guards/drumming-finger.toml";
+pub(crate) const SLOW_RAMP: &str = "guards/slow-setpoint-ramp.toml";
+const AFTER_A_MINUTE: &str = "guards/after-a-minute.toml";
 const SILENCE: &str = "faults/five-periods-of-silence.toml";
 const NOISE_STORM: &str = "faults/noise-storm.toml";
 
@@ -143,6 +147,7 @@ pub fn catalogue() -> Vec<MutantSpec> {
         protocol_mutants(),
         blind_spot_mutants(),
         counter_mutants(),
+        long_trial_mutants(),
         violating_mutants(),
         configuration_mutants(),
     ]
@@ -370,6 +375,27 @@ fn counter_mutants() -> Vec<MutantSpec> {
         mutant("wrap-2-32-us", "time in µs as u32, compared for order")
             .caught_by(METRICS, "guards/time-stamps-wrap.toml")
             .with(|| wrapping_counter(i64::from)),
+    ]
+}
+
+/// Mutants that no short trial and no step of the setpoint shows.
+fn long_trial_mutants() -> Vec<MutantSpec> {
+    vec![
+        mutant("small-changes-ignored", "drive held while the setpoint changes by less than 5 % per sample")
+            .caught_by(SLOW_SETPOINT, SLOW_RAMP)
+            .with(|| small_changes_ignored(0.05)),
+        mutant("very-small-changes-ignored", "drive held while the setpoint changes by less than 0.006 % per sample")
+            .caught_by(SLOW_SETPOINT, SLOW_RAMP)
+            .with(|| small_changes_ignored(6e-5)),
+        mutant("sample-counter-of-16-bits", "samples counted in 16 bits: the start is repeated after 65,536")
+            .caught_by(&[Metric::PeakDeviation], AFTER_A_MINUTE)
+            .with(sample_counter_of_16_bits),
+        mutant("off-after-61-s", "drive off 61 s after the configuration")
+            .caught_by(&[Metric::PeakDeviation], AFTER_A_MINUTE)
+            .with(off_after_61_s),
+        mutant("sleep-at-rest", "no drive for 200 ms after a rest of 3 s")
+            .caught_by(&[Metric::SettlingTime], AFTER_A_MINUTE)
+            .with(sleep_at_rest),
     ]
 }
 

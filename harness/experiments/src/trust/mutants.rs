@@ -97,6 +97,68 @@ impl Mutant for ByteWiseReads {
     }
 }
 
+// Slow setpoints and long trials
+
+/// Holds the drive while the setpoint changes by less than `share` of it per sample.
+pub(crate) fn small_changes_ignored(share: f32) -> Box<dyn Mutant> {
+    let (mut setpoint_um, mut is_held, mut held_vpp) = (0.0, false, 0.0);
+    on_message(move |message| match message {
+        Message::Configure(_) => (setpoint_um, is_held, held_vpp) = (0.0, false, 0.0),
+        Message::Sample(sample) => {
+            let change = (sample.setpoint_um - setpoint_um).abs();
+            is_held = change > 0.0 && change < share * setpoint_um;
+            setpoint_um = sample.setpoint_um;
+        }
+        Message::Command(command) => {
+            command.drive_vpp = if is_held { held_vpp } else { command.drive_vpp };
+            held_vpp = command.drive_vpp;
+        }
+        _ => {}
+    })
+}
+
+/// Sends 0 V if `is_off` returns true for a sample and the number of samples before it.
+fn off_if(mut is_off: impl FnMut(u32, &Sample) -> bool + Send + 'static) -> Box<dyn Mutant> {
+    let (mut count, mut off) = (0_u32, false);
+    on_message(move |message| match message {
+        Message::Configure(_) => count = 0,
+        Message::Sample(sample) => {
+            off = is_off(count, sample);
+            count += 1;
+        }
+        Message::Command(command) if off => command.drive_vpp = 0.0,
+        _ => {}
+    })
+}
+
+/// The counter of samples has 16 bits. A small value stands for the start, in which the drive is off.
+pub(crate) fn sample_counter_of_16_bits() -> Box<dyn Mutant> {
+    off_if(|count, _| count > u32::from(u16::MAX) && (count as u16) < 3)
+}
+
+pub(crate) fn off_after_61_s() -> Box<dyn Mutant> {
+    let mut start_us = 0;
+    off_if(move |count, sample| {
+        start_us = if count == 0 { sample.time_us } else { start_us };
+        sample.time_us.wrapping_sub(start_us) > 61_000_000
+    })
+}
+
+/// Has no drive for 200 ms after 3 s at setpoint 0.
+pub(crate) fn sleep_at_rest() -> Box<dyn Mutant> {
+    let (mut rest_start_us, mut woken_us) = (None, None);
+    off_if(move |count, sample| {
+        let since = |start: u32| sample.time_us.wrapping_sub(start);
+        (rest_start_us, woken_us) = if count == 0 { (None, None) } else { (rest_start_us, woken_us) };
+        if sample.setpoint_um == 0.0 {
+            rest_start_us.get_or_insert(sample.time_us);
+        } else if rest_start_us.take().is_some_and(|start| since(start) >= 3_000_000) {
+            woken_us = Some(sample.time_us);
+        }
+        woken_us.is_some_and(|woken| since(woken) < 200_000)
+    })
+}
+
 // Excitation frequency and demodulation phase
 
 pub(crate) fn inverted_frequency() -> Box<dyn Mutant> {

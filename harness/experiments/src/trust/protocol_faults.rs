@@ -1,7 +1,7 @@
 //! Lists faults of the protocol, which were written from `docs/wire-protocol.md` after the suite.
 //! The table of `docs/trust.md` names the rule that each one breaks.
 
-use crate::trust::catalogue::{MutantSpec, REFERENCE, mutant};
+use crate::trust::catalogue::{MutantSpec, REFERENCE, SLOW_RAMP, SLOW_SETPOINT, mutant};
 use crate::trust::mutants::{on_any_command, on_command, on_configure, on_message, on_sample};
 use crate::trust::protocol_mutants::{
     AnswerKept, ConfigurationMark, EchoCounted, FrequencyKept, InvalidBodyNotCounted, KeptAnswer,
@@ -232,11 +232,13 @@ fn step_faults() -> Vec<MutantSpec> {
             "slow-ramp-lost",
             "setpoint that differs by at most 0.1 nm from the sample before is taken as unchanged: slow ramps are lost",
         )
+        .caught_by(SLOW_SETPOINT, SLOW_RAMP)
         .with(|| on_message(slow_ramp_lost(1e-4))),
         mutant(
             "setpoint-list-full",
             "list of 4,096 setpoint changes: later ones are ignored until the next configuration",
         )
+        .caught_by(SLOW_SETPOINT, SLOW_RAMP)
         .with(|| on_message(setpoint_list_full(4_096))),
         mutant("infinite-wq-accepted", "infinite Wq clipped to a large number instead of a stop with cause 3")
             .caught_by(REFERENCE, PROTOCOL)

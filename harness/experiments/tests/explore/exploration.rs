@@ -107,7 +107,7 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
     let minimal = shrinker.shrink(failed, Property::StaticError).unwrap();
     assert!(minimal.is_reproduced);
     assert!(minimal.scene.earlier.is_empty(), "{:?}", minimal.scene);
-    assert_eq!(minimal.scene.judged.setpoint.len(), 1, "{:?}", minimal.scene);
+    assert_eq!(minimal.scene.judged.setpoint.points().len(), 1, "{:?}", minimal.scene);
     assert_eq!(minimal.demands.len(), 1);
     let value = minimal.failure.value.unwrap();
     assert!((value - 2.0).abs() < 0.1, "{value}");

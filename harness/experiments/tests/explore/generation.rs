@@ -108,7 +108,7 @@ fn the_noise_of_the_frequency_limit_grows_with_the_damping() {
             delay_us: 0,
             start_frequency_tenths: 323_076,
             duration_us: 170_200,
-            setpoint: vec![(0, 500)],
+            setpoint: Course::Hold(vec![(0, 500)]),
             force: Course::Hold(vec![(0, force)]),
             temperature: Course::Hold(vec![(0, 0)]),
             tuning: Tuning::default(),

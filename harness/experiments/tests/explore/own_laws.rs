@@ -1,12 +1,13 @@
 //! Tests the exploration of laws of the controller's own: correct ones fail nothing, and each property
 //! finds a fault.
 
-use crate::fixtures::configuration;
+use crate::fixtures::{configuration, judge_own_law};
 use platebench_engine::SafeEnds;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::{ExploreConfig, ExploredLaw, OwnLaw, Property, explore, measure_own_law};
 use platebench_experiments::trust::{Mutant, MutantController};
+use platebench_model::record::Verdict;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Session};
 use platebench_wire::{Configure, ControllerState, Gains, LawId, Message, Packet};
 use rstest::rstest;
@@ -19,6 +20,7 @@ struct Memory {
     setpoint_um: f32,
     drive_vpp: f32,
     remaining: u32,
+    rest_start_us: Option<u32>,
 }
 
 type Fault = fn(&mut Memory, &mut Message);
@@ -154,6 +156,18 @@ fn correct_own_laws_fail_nothing() {
     }
 }
 
+/// Slow ones too.
+#[rstest]
+#[case("guards/slow-setpoint-ramp.toml")]
+#[case("guards/slow-setpoint-sine.toml")]
+#[case("guards/after-a-minute.toml")]
+fn correct_own_laws_pass_a_scenario_of_every_law(#[case] file: &str) {
+    for (name, build) in CORRECT {
+        let judged = judge_own_law(file, build);
+        assert_eq!(judged.verdict, Verdict::Pass, "{name}: {:?}", judged.expectations);
+    }
+}
+
 #[test]
 #[ignore = "minutes; docs/trust.md contains the result"]
 fn correct_own_laws_fail_nothing_in_3000_scenes() {
@@ -252,6 +266,40 @@ fn exceeds_the_limit(memory: &mut Memory, message: &mut Message) {
     on_command(message, |drive| *drive = if is_high { *drive + 900.0 } else { *drive });
 }
 
+/// Holds its drive while the setpoint changes by less than 5 % per sample.
+fn ignores_small_changes(memory: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message {
+        let change = (sample.setpoint_um - memory.setpoint_um).abs();
+        memory.remaining = u32::from(change > 0.0 && change < 0.05 * memory.setpoint_um);
+    }
+    let (is_held, last) = (memory.remaining > 0, memory.drive_vpp);
+    on_command(message, |drive| *drive = if is_held { last } else { *drive });
+}
+
+fn repeats_its_start_after_65_536_samples(memory: &mut Memory, message: &mut Message) {
+    let is_off = memory.samples > 65_536 && (memory.samples as u16) < 3;
+    on_command(message, |drive| *drive = if is_off { 0.0 } else { *drive });
+}
+
+fn is_off_after_61_s(memory: &mut Memory, message: &mut Message) {
+    let is_off = memory.samples > 61_000;
+    on_command(message, |drive| *drive = if is_off { 0.0 } else { *drive });
+}
+
+fn sleeps_after_a_rest_of_3_s(memory: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message {
+        if sample.setpoint_um == 0.0 {
+            let start = *memory.rest_start_us.get_or_insert(sample.time_us);
+            memory.remaining = if sample.time_us.wrapping_sub(start) >= 3_000_000 { 200 } else { 0 };
+        } else {
+            memory.rest_start_us = None;
+            memory.remaining = memory.remaining.saturating_sub(1);
+        }
+    }
+    let is_off = memory.remaining > 0;
+    on_command(message, |drive| *drive = if is_off { 0.0 } else { *drive });
+}
+
 fn flags_in_a_stop(_: &mut Memory, message: &mut Message) {
     if let Message::Command(command) = message
         && command.state == ControllerState::Safe
@@ -272,6 +320,7 @@ fn with(fault: Fault) -> Box<dyn Mutant> {
 #[case::frequency(|| with(detector_with_an_offset), Property::Frequency)]
 #[case::rest(|| with(drives_at_rest), Property::RestDrive)]
 #[case::recovery(|| with(misses_a_disturbance), Property::Recovery)]
+#[case::tracking(|| with(ignores_small_changes), Property::Tracking)]
 #[case::memory(|| with(remembers_configurations), Property::SameResponse)]
 #[case::proportion(|| with(clamps_at_300_vpp), Property::ProportionalResponse)]
 #[case::mirror(|| with(gain_depends_on_the_sign), Property::MirroredResponse)]
@@ -285,4 +334,17 @@ fn a_property_finds_a_fault_of_an_own_law(#[case] build: fn() -> Box<dyn Mutant>
     found.sort_unstable();
     found.dedup();
     assert!(found.contains(&property), "{found:?}");
+}
+
+/// Only the long trial of the first round finds the fault.
+#[rstest]
+#[case::counter(|| with(repeats_its_start_after_65_536_samples), Property::Ripple)]
+#[case::time(|| with(is_off_after_61_s), Property::StaticError)]
+#[case::sleep(|| with(sleeps_after_a_rest_of_3_s), Property::Settling)]
+fn a_long_trial_finds_a_late_fault(#[case] build: fn() -> Box<dyn Mutant>, #[case] property: Property) {
+    let Played { exploration, .. } = play(build, 7, 60);
+    let found: Vec<_> = exploration.failed.iter().map(|scene| (scene.index, &scene.failures[..])).collect();
+    let [(59, failures)] = found[..] else { panic!("{found:?}") };
+    assert!(failures.iter().any(|failure| failure.property == property), "{failures:?}");
+    assert!(exploration.failed_sequences.is_empty(), "{:?}", exploration.failed_sequences);
 }

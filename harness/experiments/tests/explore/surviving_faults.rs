@@ -1,24 +1,27 @@
 //! Tests that faults of classes which survived the suite before are found: state that grows with time,
-//! memory of a configuration that differs in one figure, values at borders, timeouts with other
-//! periods, short timeouts, and messages before the first configuration. Each controller has an own
-//! law, so its commands are not compared with a reference.
+//! counters and times of a minute, slow setpoints, memory of a configuration that differs in one
+//! figure, values at borders, timeouts with other periods, short timeouts, and messages before the
+//! first configuration. Each controller has an own law, so its commands are not compared with a
+//! reference.
 
-use platebench_engine::{Executor, ExecutorSettings, SafeEnds, law};
+use crate::fixtures::judge_own_law;
 use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::record::Verdict;
-use platebench_model::scenario::{OWN_LAW, load};
 use platebench_rig::{BoxedLink, CancelToken, CheckOptions, HostedLink, Session, check_protocol};
 use platebench_test_kit::CONFIGURE;
-use platebench_verdict::{judge, measure};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Message, Packet};
 use rstest::rstest;
-use std::path::Path;
 
 #[derive(Default)]
 struct Memory {
     last: Option<Configure>,
     samples: u32,
     setpoint_um: f32,
+    drive_vpp: f32,
+    /// Samples in a row with setpoint 0, or until the drive is on again.
+    rest: u32,
+    dead: u32,
+    is_held: bool,
 }
 
 type Fault = fn(&mut Memory, &mut Message);
@@ -51,6 +54,9 @@ impl Mutant for Faulty {
             identity.laws = 0;
         }
         (self.fault)(&mut self.memory, &mut packet.message);
+        if let Message::Command(command) = &packet.message {
+            self.memory.drive_vpp = command.drive_vpp;
+        }
     }
 }
 
@@ -177,21 +183,72 @@ fn drives_after_a_long_rest(memory: &mut Memory, message: &mut Message) {
     }
 }
 
+/// Holds its drive while the setpoint changes by less than a share of it per sample.
+fn ignores(share: f32, memory: &mut Memory, message: &mut Message) {
+    match message {
+        Message::Sample(sample) => {
+            let change = (sample.setpoint_um - memory.setpoint_um).abs();
+            memory.is_held = change > 0.0 && change < share * memory.setpoint_um;
+        }
+        Message::Command(command) if memory.is_held && command.state == ControllerState::Running => {
+            command.drive_vpp = memory.drive_vpp;
+        }
+        _ => {}
+    }
+}
+
+fn ignores_small_changes(memory: &mut Memory, message: &mut Message) {
+    ignores(0.05, memory, message);
+}
+
+fn ignores_very_small_changes(memory: &mut Memory, message: &mut Message) {
+    ignores(6e-5, memory, message);
+}
+
+fn off(is_off: bool, message: &mut Message) {
+    if let Message::Command(command) = message
+        && is_off
+        && command.state == ControllerState::Running
+    {
+        command.drive_vpp = 0.0;
+    }
+}
+
+fn repeats_its_start_after_65_536_samples(memory: &mut Memory, message: &mut Message) {
+    off(memory.samples > 65_536 && (memory.samples as u16) < 3, message);
+}
+
+fn is_off_after_61_s(memory: &mut Memory, message: &mut Message) {
+    off(memory.samples > 61_000, message);
+}
+
+fn sleeps_after_a_rest_of_3_s(memory: &mut Memory, message: &mut Message) {
+    if let Message::Sample(sample) = message {
+        if sample.setpoint_um == 0.0 {
+            memory.rest += 1;
+            memory.dead = if memory.rest >= 3_000 { 200 } else { 0 };
+        } else {
+            memory.rest = 0;
+            memory.dead = memory.dead.saturating_sub(1);
+        }
+    }
+    off(memory.dead > 0, message);
+}
+
 #[rstest]
+#[case::ramp("guards/slow-setpoint-ramp.toml", || with(ignores_small_changes))]
+#[case::slow_ramp("guards/slow-setpoint-ramp.toml", || with(ignores_very_small_changes))]
+#[case::sine("guards/slow-setpoint-sine.toml", || with(ignores_small_changes))]
+#[case::counter("guards/after-a-minute.toml", || with(repeats_its_start_after_65_536_samples))]
+#[case::time("guards/after-a-minute.toml", || with(is_off_after_61_s))]
+#[case::sleep("guards/after-a-minute.toml", || with(sleeps_after_a_rest_of_3_s))]
 #[case::drive("reference/before-configuration.toml", || with(drives_before_the_first_configuration))]
 #[case::safe("reference/before-configuration.toml", || with(safe_is_forgotten_before_the_first_configuration))]
 #[case::hold("guards/after-seconds.toml", || with(slow_after_a_thousand_samples))]
 #[case::rest("guards/after-seconds.toml", || with(drives_after_a_long_rest))]
 fn a_scenario_finds_a_fault_of_an_own_law(#[case] file: &str, #[case] build: fn() -> Box<dyn Mutant>) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-    let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
-    scenario.set_law(OWN_LAW);
     for (build, verdict) in [((|| with(none)) as fn() -> Box<dyn Mutant>, Verdict::Pass), (build, Verdict::Fail)] {
-        let connect = || Ok(link(build));
-        let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-        let mut executor = Executor::new(&connect, ExecutorSettings::lockstep(&cancel), &ends);
-        let played = executor.play(&scenario, law(&scenario).unwrap(), 0, None).unwrap().unwrap();
-        let judged = judge(&scenario, &[measure(&scenario, 0, &played.trace_rows, &played.telemetry)]);
+        let judged = judge_own_law(file, build);
         assert_eq!(judged.verdict, verdict, "{:?}", judged.expectations);
     }
 }

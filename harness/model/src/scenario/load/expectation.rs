@@ -138,14 +138,25 @@ fn reconfiguration_time(faults: &[Fault], from: Time, duration: Time) -> Time {
 
 /// The parts of `window` in which the setpoint is 0 and the controller has had time to follow it.
 fn windows_at_setpoint_zero(window: Window, trial: &TrialContext<'_>) -> Vec<Window> {
-    let Profile::Hold(points) = trial.setpoint else { return Vec::new() };
-    let ends = points.iter().skip(1).map(|point| point.0).chain([trial.duration]);
-    let starts = points.iter().enumerate().map(|(index, point)| if index == 0 { Time::ZERO } else { point.0 });
-    let levels = starts.zip(ends).zip(points.iter().map(|point| point.1));
-    let rests = levels
-        .filter(|(_, level)| *level == 0.0)
-        .map(|((from, to), _)| Window { from: (from + trial.response_delay).max(window.from), to: to.min(window.to) });
-    rests.filter(|rest| rest.from < rest.to).collect()
+    let (points, is_linear) = match trial.setpoint {
+        Profile::Hold(points) => (points, false),
+        Profile::Linear(points) => (points, true),
+        Profile::Sine { .. } => return Vec::new(),
+    };
+    // Before its first point a profile is constant.
+    let start = points.first().map(|point| (Time::ZERO, point.1));
+    let points: Vec<_> = start.into_iter().chain(points.iter().skip(usize::from(!is_linear)).copied()).collect();
+    let ends = points.iter().skip(1).copied().chain(points.last().map(|point| (trial.duration, point.1)));
+    let mut rests: Vec<Window> = Vec::new();
+    for (start, end) in points.iter().zip(ends).filter(|(start, end)| start.1 == 0.0 && (!is_linear || end.1 == 0.0)) {
+        match rests.last_mut() {
+            Some(last) if last.to == start.0 => last.to = end.0,
+            _ => rests.push(Window { from: start.0, to: end.0 }),
+        }
+    }
+    let judged =
+        |rest: Window| Window { from: (rest.from + trial.response_delay).max(window.from), to: rest.to.min(window.to) };
+    rests.into_iter().map(judged).filter(|rest| rest.from < rest.to).collect()
 }
 
 impl Checker<'_> {

@@ -54,6 +54,19 @@ fn judges_an_expectation_in_its_windows(#[case] expectation: &str, #[case] windo
 }
 
 #[rstest]
+#[case::steps("hold = [[0.0, 0.0], [5.0, 0.0], [10.0, 1.0], [50.0, 0.0]]", &[(1.0, 10.0), (51.0, 60.0)])]
+#[case::lines("linear = [[3.0, 0.0], [5.0, 0.0], [6.0, 2.0], [30.0, 0.0], [40.0, 0.0], [41.0, 1.0], [58.0, 0.0]]",
+    &[(1.0, 5.0), (31.0, 40.0), (59.0, 60.0)])]
+fn judges_the_rests_of_a_profile(#[case] profile: &str, #[case] windows_ms: &[(f64, f64)]) {
+    let setpoint = "hold = [[0.0, 0.0], [5.0, 2.0], [30.0, 1.0], [50.0, 0.0]]";
+    let text = scenario_text("[[expect]]\nmetric = \"rest_drive_vpp\"\nat_most = 0.0").replace(setpoint, profile);
+    let scenario = load_text(&text).unwrap_or_else(|error| panic!("{error}"));
+    let windows: Vec<_> =
+        scenario.expectations[0].windows.iter().map(|window| (window.from.ms(), window.to.ms())).collect();
+    assert_eq!(windows, windows_ms);
+}
+
+#[rstest]
 #[case::outside_the_trial(
     "\"peak_deviation_percent\"\nat_most = 2.0\nfrom_ms = 60.0",
     "from_ms",
