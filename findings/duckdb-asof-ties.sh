@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# DuckDB 2.0.0: if several rows have one instant, an ASOF join returns the first or the last, depending on the number of times.
+# DuckDB 2.0.0: of several rows at one instant, an ASOF join returns the first or the last, by the number of times.
 #
-# A trace of a step has two rows at one instant: the value before it and the value after it. `asof join … on q.t >= s.t`
-# finds the last row at or before each time. If the left side has fewer than 64 rows, DuckDB uses a nested loop, which
-# returns the first row of that instant for all times until the next one: the value before the step. From 64 rows on it
-# returns the last row. `merge_asof` of pandas and `join_asof` of Polars always return the last one.
+# A trace of a step has two rows at one instant: the value before it and the value after it. `asof join … on q.t >=
+# s.t` finds the last row at or before each time. If the left side has fewer than 64 rows, DuckDB uses a nested loop,
+# which returns the first row of that instant for all times until the next one: the value before the step. From 64
+# rows on it returns the last row. `merge_asof` of pandas and `join_asof` of Polars always return the last one.
 #
 # Output seen (drive 0 at 0 ms, 0 and then 10 at 1 ms, 10 at 100 ms; values between 2 and 3 ms):
 #   63 times: DuckDB [0.0], pandas [10.0], Polars [10.0]

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # libcosimpy 0.0.6 (libcosim): the file observer writes six significant digits, of values and of the time.
 #
-# `CosimObserver.create_to_dir` writes the CSV files that a co-simulation is evaluated from. A resonance of 202450.625 rad/s
-# becomes 202451, so steps below 1 rad/s (0.16 Hz) vanish, and times above 1 s are rounded to 10 µs: rows then have equal times.
-# The values in the simulation are exact.
+# `CosimObserver.create_to_dir` writes the CSV files that a co-simulation is evaluated from. A resonance of 202450.625
+# rad/s becomes 202451, so steps below 1 rad/s (0.16 Hz) vanish, and times above 1 s are rounded to 10 µs: rows then
+# have equal times. The values in the simulation are exact.
 #
 # Output seen (steps of 0.5000001 s):
 #   simulation: 202450.625, file: 202451

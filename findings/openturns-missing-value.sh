@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # OpenTURNS 1.27: a missing value counts as safe, and without a failure the confidence interval has the length 0.
 #
-# `ProbabilitySimulationAlgorithm` counts values above the limit. A model that returns NaN because a trial never settled is
-# neither above nor below it, so the worst trials lower the probability of failure. The comparison is also false for NaN
-# with `Less`. If no trial fails, the estimate is 0 and `getConfidenceLength(0.95)` is 0 for any number of trials; 3/n is the
-# upper end of 95 %.
+# `ProbabilitySimulationAlgorithm` counts values above the limit. A model that returns NaN because a trial never
+# settled is neither above nor below it, so the worst trials lower the probability of failure. The comparison is also
+# false for NaN with `Less`. If no trial fails, the estimate is 0 and `getConfidenceLength(0.95)` is 0 for any number
+# of trials; 3/n is the upper end of 95 %.
 #
 # Output seen (standard normal x, failure above 0.9, 1,000 trials):
 #   every value known: 0.192

@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# DuckDB 2.0.0 finds no NaN in a Parquet file that has statistics, and DuckDB, DataFusion 55.0.0 and pyarrow 26.0.1 drop NaN
-# rows when a filter skips a row group.
+# DuckDB 2.0.0 finds no NaN in a Parquet file with statistics, and DuckDB, DataFusion 55.0.0 and pyarrow 26.0.1 drop
+# NaN rows if a filter skips a row group.
 #
-# The statistics of a Parquet column omit NaN: the format requires it. pyarrow writes minimum and maximum of the numbers.
-# DuckDB concludes from them that the column has no NaN: `isnan(v)` is false in every row, and `not isnan(v)` keeps the NaN.
-# `isfinite(v)` is right. The usual filter for "missing or too slow", `not (v <= limit)`, loses the NaN if its row group
-# contains no slow value, although all three readers keep it for the same table in memory. Polars 2.1.0 is right.
+# The statistics of a Parquet column omit NaN: the format requires it. pyarrow writes minimum and maximum of the
+# numbers. DuckDB concludes from them that the column has no NaN: `isnan(v)` is false in every row, and `not isnan(v)`
+# keeps the NaN. `isfinite(v)` is right. The usual filter for "missing or too slow", `not (v <= limit)`, loses the NaN
+# if its row group contains no slow value, although all three readers keep it for the same table in memory. Polars
+# 2.1.0 is right.
 #
 # Output seen (settling times 1, 2, NaN in the first row group and 3, 7, 8 in the second; rows from 0):
 #   DuckDB, isnan(v): memory [2], file []
@@ -16,7 +17,8 @@
 #   pyarrow, not (v <= 5): memory [2, 4, 5], file [4, 5]
 #   Polars, not (v <= 5): memory [2, 4, 5], file [2, 4, 5]
 #
-# What to do: write null instead of NaN, write without statistics, or filter in memory. In DuckDB use `not isfinite(v)`.
+# What to do: write null instead of NaN, write without statistics, or filter in memory. In DuckDB use `not
+# isfinite(v)`.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

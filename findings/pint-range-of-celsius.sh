@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Pint 0.25.3: the range (`numpy.ptp`) of temperatures in °C is an absolute temperature: 2 °C becomes 275.15 K.
 #
-# A difference of offset temperatures has a unit of its own, `delta_degree_Celsius`. Subtraction, `diff`, `gradient` and `std`
-# use it. `ptp`, the maximum minus the minimum, has °C, so its conversion to kelvin adds 273.15. No error is raised.
+# A difference of offset temperatures has a unit of its own, `delta_degree_Celsius`. Subtraction, `diff`, `gradient`
+# and `std` use it. `ptp`, the maximum minus the minimum, has °C, so its conversion to kelvin adds 273.15. No error is
+# raised.
 #
 # Output seen (20, 21, 22 °C):
 #   max - min: 2.0 delta_degree_Celsius = 2.0 kelvin

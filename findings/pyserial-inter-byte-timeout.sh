@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # pySerial 3.5 on Linux: `inter_byte_timeout` does not end a read, and `in_waiting` of `socket://` is at most 1.
 #
-# With `inter_byte_timeout=0.05` a read is meant to end 50 ms after the last byte. `read` waits with `select` for the whole
-# `timeout`, so an answer of unknown length takes the full second although its bytes came at once. The same loop,
-# `read(in_waiting)`, over `socket://` (a serial server) gets one byte per call, because `in_waiting` is the number of
-# readable sockets.
+# With `inter_byte_timeout=0.05` a read is meant to end 50 ms after the last byte. `read` waits with `select` for the
+# whole `timeout`, so an answer of unknown length takes the full second although its bytes came at once. The usual
+# loop, `read(in_waiting)`, gets one byte per call over `socket://` (a serial server), because `in_waiting` is the
+# number of readable sockets.
 #
 # Output seen (3 bytes on a pseudo terminal; 100 bytes on a socket; timeout 1 s):
 #   read(100): 3 bytes, inter_byte_timeout 0.05: waited for the whole timeout

@@ -2,7 +2,8 @@
 # python-control 0.10.2: `step_info` measures a response from 0, so a step from 1 to 2 has half its overshoot.
 #
 # Rise, settling and overshoot refer to the final value, not to the size of the step, and there is no argument for the
-# initial value. The settling band of 2 % is twice as wide for a step from 1 to 2 µm as for the same step from 0 to 1 µm.
+# initial value. The settling band of 2 % is twice as wide for a step from 1 to 2 µm as for the same step from 0 to 1
+# µm.
 #
 # Output seen (the same second-order step, 200 Hz, time constant 1.88 ms):
 #   from 0 to 1: overshoot 26.5 %, rise 1.06 ms, settling 6.17 ms

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # pyuff 2.5.8: `write_sets(set, "overwrite")` of a binary data set leaves an empty file, without an error.
 #
-# A data set 58 with `binary=1` has a text header and binary samples. To change from one to the other the writer closes the
-# file and opens it again with the mode "overwrite", which deletes the header, and then the samples. The file has 7 bytes
-# and `read_sets` returns an empty list. ASCII data sets, and "add" to a new file, are right. A NaN is written as 0 in any
-# form.
+# A data set 58 with `binary=1` has a text header and binary samples. To change from one to the other the writer
+# closes the file and opens it again with the mode "overwrite", which deletes the header, and then the samples. The
+# file has 7 bytes and `read_sets` returns an empty list. ASCII data sets, and "add" to a new file, are right. A NaN
+# is written as 0 in any form.
 #
 # Output seen (samples 1, NaN, 3, 4):
 #   ASCII, overwrite: read [1.0, 0.0, 3.0, 4.0]

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # SciPy 1.17.1: `dlsim` returns one sample less than `t` for one of eight durations.
 #
-# The number of output samples is floor(t[-1] / dt) + 1. With dt = 0.001 the quotient of 0.043 is 42.99…, so the last sample
-# is missing from time, output and states. `t = linspace(0, (n - 1) / 1000, n)` and a recorded time column contain such
-# ends; `arange(n) * dt` never has one.
+# The number of output samples is floor(t[-1] / dt) + 1. With dt = 0.001 the quotient of 0.043 is 42.99…, so the last
+# sample is missing from time, output and states. `t = linspace(0, (n - 1) / 1000, n)` and a recorded time column
+# contain such ends; `arange(n) * dt` has none below 1,000 samples.
 #
 # Output seen (dt = 1 ms, n = 2 to 999 samples):
 #   linspace: 126 of 998 lengths lose the last sample, first 44, 52, 60

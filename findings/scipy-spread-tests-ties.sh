@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
-# SciPy 1.17.1: `ansari` finds a different spread in almost every pair of equal distributions if most values are equal, and
-# `fligner` in two groups of one repeated value.
+# SciPy 1.17.1: `ansari` finds a different spread in almost every pair of equal distributions if most values are
+# equal, and `fligner` in two groups of one repeated value.
 #
-# Times that are whole control periods are mostly ties. `ansari` gives tied values the score of their mean rank instead of
-# the mean of their scores, and compares with the expectation without ties. The share of false rejections at 5 % is then
-# near 1. Two identical samples (18 times 5, one 4, one 6) give p = 0.002. `fligner` divides rounding errors by rounding
-# errors if all values of both groups are equal: p is 1e-5 instead of NaN. `mood` and `levene` keep 5 %.
+# Times that are whole control periods are mostly ties. `ansari` gives tied values the score of their mean rank
+# instead of the mean of their scores, and compares with the expectation without ties. The share of false rejections
+# at 5 % is then near 1. Two identical samples (18 times 5, one 4, one 6) give p = 0.002. `fligner` divides rounding
+# errors by rounding errors if all values of both groups are equal: p is 1e-5 instead of NaN. `mood` and `levene` keep
+# 5 %.
 #
 # Output seen:
 #   two identical samples: ansari p 0.0020, mood p 1.0000, levene p 1.0000, fligner p 1.0000

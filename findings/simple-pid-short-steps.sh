@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # simple-pid 2.0.1: with `dt` given and shorter than 10 ms, the controller always returns its first output.
 #
-# `PID(...)` has `sample_time=0.01`, and a call that comes earlier returns the last output. The check also applies to the
-# `dt` of a simulation in lockstep: with `pid(value, dt=0.001)` each call is "too early", no time is added, and the output
-# never changes. The first output is computed, so a test of one step passes. No warning is given.
+# `PID(...)` has `sample_time=0.01`, and a call that comes earlier returns the last output. The check also applies to
+# the `dt` of a simulation in lockstep: with `pid(value, dt=0.001)` each call is "too early", no time is added, and
+# the output never changes. The first output is computed, so a test of one step passes. No warning is given.
 #
 # Output seen (first-order plant, 30 steps of 1 ms):
 #   sample_time default: outputs that differ 1, plant ends at 2.200 for a setpoint of 2

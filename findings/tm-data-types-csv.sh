@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# tm_data_types 0.5.0 (Tektronix): reads a CSV file into 16 bits scaled to its extremes, and one NaN makes every sample NaN.
+# tm_data_types 0.5.0 (Tektronix): reads a CSV file into 16 bits between its extremes; one NaN makes every sample NaN.
 #
-# `read_file` of a CSV file stores the column as int16 between its smallest and its largest value. One spike of 1e6 moves a
-# sample of 1 to 8.6. The file contains the exact numbers, and the .wfm file of the same waveform is read exactly.
+# `read_file` of a CSV file stores the column as int16 between its smallest and its largest value. One spike of 1e6
+# moves a sample of 1 to 8.6. The file contains the exact numbers, and the .wfm file of the same waveform is read
+# exactly.
 #
 # Output seen:
 #   1, 2, 3: CSV [1.00002, 2.0, 2.99998], WFM [1.0, 2.0, 3.0]

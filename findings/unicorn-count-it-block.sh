@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # Unicorn 2.1.4: `emu_start(count=n)` executes more than n instructions if it reaches a Thumb IT block.
 #
-# The count is checked between instructions, but not inside an IT block. `count=3` executes `movs`, `cmp`, `it` and the four
-# conditional instructions behind it. Counts from 3 to 7 end at the same place. A bench that steps a Cortex-M firmware by
-# one instruction, or that counts the steps of a control period by `count`, counts too few. If the condition is false, the
-# code hook gets only `it`: the skipped instructions, which take a cycle each on the device, are not reported.
+# The count is checked between instructions, but not inside an IT block. `count=3` executes `movs`, `cmp`, `it` and
+# the four conditional instructions behind it. Counts from 3 to 7 end at the same place. A bench that steps a Cortex-M
+# firmware by one instruction, or that counts the steps of a control period by `count`, counts too few. If the
+# condition is false, the code hook gets only `it`: the skipped instructions, which take a cycle each on the device,
+# are not reported.
 #
 # Output seen (movs, cmp, itttt eq, four moves, nop):
 #   count=2: 2 instructions, ends at 0x1004
