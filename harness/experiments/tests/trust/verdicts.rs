@@ -25,7 +25,7 @@ fn live_stored_and_in_memory_verdicts_are_equal() {
         };
         let live = platebench_engine::run(&plan, &out, &|| Ok(entry.link()), RunHooks::default()).unwrap();
         let stored = rejudge(out.path(), None).unwrap();
-        let judged = play(&scenario, entry.name, &|| entry.link()).unwrap().judgement;
+        let judged = play(&scenario, entry.name, &|| entry.link()).unwrap().judgement.with_bench_errors(&scenario);
         assert_eq!(live.scenarios[0].expectations, judged.expectations, "{name}");
         assert_eq!(stored.scenarios[0].expectations, judged.expectations, "{name}");
     }

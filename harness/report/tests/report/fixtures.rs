@@ -97,7 +97,7 @@ pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64)
         statistic: Statistic::Worst,
         limit,
         margin: Some(limit.margin(value, 10.0)),
-        bench_error: None,
+        bench_error: Some(3e-7),
         interval: Some([value * 0.98, value]),
         confidence: None,
         cause: None,
