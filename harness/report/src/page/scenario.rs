@@ -85,14 +85,12 @@ fn interval(expectation: &ExpectationRecord) -> Option<String> {
 
 fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> Markup {
     let (has_paper, has_interval) = (has_paper(scenario), has_interval(scenario));
-    let has_error = scenario.expectations.iter().any(|expectation| expectation.bench_error.is_some());
     let has_trend = trends.iter().any(|points| points.len() > 1);
     let number = |name: &str| Column::number(name, "");
     let columns = [
         Some("Metric".into()),
         Some("Verdict".into()),
         Some(number("Measured")),
-        has_error.then(|| number("Bench error")),
         has_paper.then(|| number("Paper")),
         Some(number("Expected")),
         has_interval.then(|| number("Interval")),
@@ -112,9 +110,8 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
             Some(Cell::default().with_markup(html! {
                 strong { (value) }
                 @if scenario.trials.len() > 1 { span.statistic { (format::statistic(expectation)) } }
+                @if let Some(error) = expectation.bench_error { span.statistic { "bench ± " (format!("{error:.0e}")) } }
             })),
-            has_error
-                .then(|| Cell::optional(expectation.bench_error.map(|error| format!("{error:.0e}"))).with_unit(unit)),
             has_paper.then(|| Cell::optional(expectation.paper.map(format::number)).with_unit(unit)),
             Some(Cell::default().with_markup(html! {
                 span {
