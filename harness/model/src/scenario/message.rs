@@ -159,9 +159,10 @@ impl ScenarioMessage {
         hex.contains("nn")
     }
 
-    /// Bytes of a text in hexadecimal; spaces may separate them. `nn` is the byte `number`.
-    pub fn bytes_of(hex: &str, number: u8) -> Option<Vec<u8>> {
-        let hex = hex.replace("nn", &format!("{number:02x}"));
+    /// Bytes of a text in hexadecimal; spaces may separate them. `nn` is the byte `number`, and
+    /// invalid without a number.
+    pub fn bytes_of(hex: &str, number: Option<u8>) -> Option<Vec<u8>> {
+        let hex = number.map_or_else(|| hex.to_owned(), |number| hex.replace("nn", &format!("{number:02x}")));
         let digits = hex.chars().filter(|digit| *digit != ' ').map(|digit| digit.to_digit(16));
         let digits: Vec<u32> = digits.collect::<Option<_>>()?;
         let bytes = digits.chunks_exact(2).map(|pair| pair.iter().fold(0, |byte, digit| byte << 4 | *digit as u8));
@@ -218,9 +219,9 @@ impl Checker<'_> {
                     })?;
                 }
                 ScenarioMessage::Body { hex } | ScenarioMessage::Bytes { hex } => {
-                    let most =
-                        if matches!(message, ScenarioMessage::Body { .. }) { MAX_BODY_BYTES } else { MAX_LINE_BYTES };
-                    let count = ScenarioMessage::bytes_of(hex, 0).map_or(0, |bytes| bytes.len());
+                    let is_body = matches!(message, ScenarioMessage::Body { .. });
+                    let most = if is_body { MAX_BODY_BYTES } else { MAX_LINE_BYTES };
+                    let count = ScenarioMessage::bytes_of(hex, is_body.then_some(0)).map_or(0, |bytes| bytes.len());
                     self.require((1..=most).contains(&count), &key("hex"), || {
                         format!("`{hex}`, expected 1 to {most} bytes of two hexadecimal digits each")
                     })?;
@@ -246,7 +247,12 @@ mod tests {
     #[case("15 nn 0a", Some(vec![0x15, 0xf8, 0x0a]))]
     #[case("15 n 0a", None)]
     fn reads_hexadecimal_bytes(#[case] hex: &str, #[case] expected: Option<Vec<u8>>) {
-        assert_eq!(ScenarioMessage::bytes_of(hex, 0xf8), expected);
+        assert_eq!(ScenarioMessage::bytes_of(hex, Some(0xf8)), expected);
+    }
+
+    #[test]
+    fn bytes_without_a_message_have_no_number() {
+        assert_eq!(ScenarioMessage::bytes_of("15 nn", None), None);
     }
 
     #[rstest]

@@ -209,14 +209,14 @@ impl Encoder<'_> {
                 self.wait += Duration::from_micros((ms * 1e3).round() as u64);
             }
             ScenarioMessage::Body { hex } => {
-                let number = if ScenarioMessage::has_number(hex) { self.next_sequence() } else { 0 };
+                let number = ScenarioMessage::has_number(hex).then(|| self.next_sequence());
                 let body = ScenarioMessage::bytes_of(hex, number).unwrap_or_default();
                 if let Some(frame) = EncodedFrame::new(&body) {
                     self.unanswered.extend_from_slice(frame.as_bytes());
                 }
             }
             ScenarioMessage::Bytes { hex } => {
-                self.unanswered.extend(ScenarioMessage::bytes_of(hex, 0).unwrap_or_default());
+                self.unanswered.extend(ScenarioMessage::bytes_of(hex, None).unwrap_or_default());
             }
             ScenarioMessage::Damaged { byte } => self.damaged(usize::from(*byte)),
             ScenarioMessage::Again { .. } => {}

@@ -126,13 +126,10 @@ impl ScriptFile {
             Entry::Name(name) => {
                 self.message.get(name).cloned().ok_or_else(|| format!("`{name}`, expected a name of [message]"))
             }
-            Entry::Sample([setpoint_um, wd_um, wq_um]) => Ok(ScenarioMessage::Sample {
-                setpoint_um: *setpoint_um,
-                wd_um: *wd_um,
-                wq_um: *wq_um,
-                ahead: 1,
-                split_at: None,
-            }),
+            Entry::Sample(values) => {
+                let [setpoint_um, wd_um, wq_um] = values.map(WireNumber::value);
+                Ok(ScenarioMessage::sample(setpoint_um, wd_um, wq_um))
+            }
             Entry::Message(message) => Ok(message.clone()),
             Entry::Configure(change) => Ok(ScenarioMessage::Configure(*change)),
         }
