@@ -9,10 +9,6 @@ use platebench_model::scenario::Scenario;
 use platebench_verdict::missed_between_rows;
 use platebench_verdict::uncertainty::{ErrorOrigin, QuantityBudget};
 
-/// Origins of the errors that a trial has alone, in the order of [`TrialRow::errors`].
-pub(crate) const OWN_ORIGINS: [ErrorOrigin; 3] =
-    [ErrorOrigin::Numerical, ErrorOrigin::Quantisation, ErrorOrigin::Sensor];
-
 /// Standard uncertainties in the order of [`ErrorOrigin::ALL`]; `None` if one does not apply.
 pub(crate) type RowErrors = [Option<f64>; 4];
 
@@ -53,7 +49,8 @@ impl BenchErrors {
             &own
         };
         let errors = |(index, (budget, value)): (usize, (&QuantityBudget, &f64))| {
-            let [numerical, quantisation, sensor] = OWN_ORIGINS.map(|origin| budget.standard_of(origin, *value, None));
+            let [numerical, quantisation, sensor] =
+                ErrorOrigin::OF_TRIAL.map(|origin| budget.standard_of(origin, *value, None));
             // Errors of the amplitude do not change a count.
             let of_pairs = |errors: Option<&Vec<f64>>| numerical.and(errors?.get(index).copied());
             let peak = scenario.expectations.get(index).and_then(|expectation| {

@@ -4,7 +4,6 @@
 //! trials that end first are a biased sample, because a trial that settles late may take longer.
 //! Each look at the results spends a part of the error probability (alpha spending).
 
-use crate::campaign::bench_error::OWN_ORIGINS;
 use crate::campaign::definition::Campaign;
 use crate::campaign::draw::DrawnTrial;
 use crate::campaign::error::CampaignError;
@@ -12,6 +11,7 @@ use platebench_model::record::{Cause, RunOutcome, Verdict};
 use platebench_model::scenario::Expectation;
 use platebench_verdict::statistics::clopper_pearson;
 use platebench_verdict::statistics::{Look, plan_looks};
+use platebench_verdict::uncertainty::ErrorOrigin;
 use platebench_verdict::uncertainty::TypeA;
 use platebench_verdict::{Judgement, TrialMeasures, judge};
 
@@ -20,7 +20,7 @@ pub(crate) const CAUSES: [Cause; 4] = [Cause::Rig, Cause::Bench, Cause::Infeasib
 /// The columns verdict, cause, redraws and score.
 const FIXED_COLUMNS: usize = 4;
 /// Value, margin and errors of an expectation.
-const EXPECTATION_COLUMNS: usize = 2 + OWN_ORIGINS.len();
+const EXPECTATION_COLUMNS: usize = 2 + ErrorOrigin::OF_TRIAL.len();
 /// Score of a trial without a finite margin, before its distance from the setpoint is subtracted.
 /// Only the order of scores matters.
 const NO_VALUE_SCORE: f64 = -1e3;
@@ -86,7 +86,7 @@ impl TrialRow {
             draws: trial.values.clone(),
             values: vec![f64::NAN; expectations],
             margins: vec![f64::NEG_INFINITY; expectations],
-            errors: vec![f64::NAN; OWN_ORIGINS.len() * expectations],
+            errors: vec![f64::NAN; ErrorOrigin::OF_TRIAL.len() * expectations],
             verdict: Verdict::Inconclusive,
             is_applicable: false,
             cause: None,
@@ -150,7 +150,7 @@ impl TrialRow {
         let (draws, rest) = columns.split_at_checked(variables)?;
         let (values, rest) = rest.split_at_checked(expectations)?;
         let (margins, rest) = rest.split_at_checked(expectations)?;
-        let (errors, rest) = rest.split_at_checked(OWN_ORIGINS.len() * expectations)?;
+        let (errors, rest) = rest.split_at_checked(ErrorOrigin::OF_TRIAL.len() * expectations)?;
         let [verdict, cause, redraws, score] = *rest else { return None };
         Some(Self {
             trial,

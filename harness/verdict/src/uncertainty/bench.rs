@@ -42,6 +42,8 @@ pub enum ErrorOrigin {
 
 impl ErrorOrigin {
     pub const ALL: [Self; 4] = [Self::Numerical, Self::Quantisation, Self::Sensor, Self::Statistics];
+    /// Origins of the errors that a trial has alone.
+    pub const OF_TRIAL: [Self; 3] = [Self::Numerical, Self::Quantisation, Self::Sensor];
 
     pub const fn name(self) -> &'static str {
         match self {
@@ -96,8 +98,8 @@ impl QuantityBudget {
 
     /// Standard uncertainty of all components that one trial has alone, as in [`Self::standard_of`].
     pub fn own_standard(&self, value: f64) -> Option<f64> {
-        let origins = [ErrorOrigin::Numerical, ErrorOrigin::Quantisation, ErrorOrigin::Sensor];
-        origins.into_iter().filter_map(|origin| self.standard_of(origin, value, None)).reduce(f64::hypot)
+        let parts = ErrorOrigin::OF_TRIAL.into_iter().filter_map(|origin| self.standard_of(origin, value, None));
+        parts.reduce(f64::hypot)
     }
 
     fn add_amplitude_errors(&mut self, scenario: &Scenario, setpoint: f64, sensitivity: Sensitivity) {
