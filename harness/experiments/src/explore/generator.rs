@@ -383,15 +383,15 @@ impl<'a> Timeline<'a> {
 
     fn press(&mut self, event: &EventDraw, at: u32) -> u32 {
         let to = self.force(event.force);
-        let rate = rate(self.envelope.range.force_rate_n_per_s, event.slowness) * 100.0;
-        let duration = ramp_us((f64::from((to - self.force.last()).abs()) / rate).min(MAX_RAMP_S));
+        let rates = self.envelope.range.force_rate_n_per_s;
+        let duration = disturbance_us(to - self.force.last(), rates, event.slowness);
         self.force.ramp(at, duration, to)
     }
 
     fn heat(&mut self, event: &EventDraw, at: u32) -> u32 {
         let to = self.temperature(event.temperature);
-        let rate = rate(self.envelope.range.temperature_rate_k_per_s, event.slowness) * 100.0;
-        let duration = ramp_us((f64::from((to - self.temperature.last()).abs()) / rate).min(MAX_RAMP_S));
+        let rates = self.envelope.range.temperature_rate_k_per_s;
+        let duration = disturbance_us(to - self.temperature.last(), rates, event.slowness);
         self.temperature.ramp(at, duration, to)
     }
 }
@@ -404,6 +404,12 @@ const MAX_SETPOINT_RAMP_S: f64 = 0.3;
 /// [`EventDraw`] defines `slowness`.
 fn rate([slowest, fastest]: [f64; 2], slowness: u32) -> f64 {
     fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0)
+}
+
+/// Duration of a ramp of force or temperature by `change` hundredths, µs.
+fn disturbance_us(change: i32, rates: [f64; 2], slowness: u32) -> u32 {
+    let rate = rate(rates, slowness) * 100.0;
+    ramp_us((f64::from(change.abs()) / rate).min(MAX_RAMP_S))
 }
 
 /// Duration of a ramp, µs, a multiple of 0.1 ms.
