@@ -33,11 +33,7 @@ impl Exit {
     }
 
     pub(crate) fn of_verdict(verdict: Verdict) -> Self {
-        match verdict {
-            Verdict::Pass => Self::Passed,
-            Verdict::Fail => Self::Failed,
-            Verdict::Inconclusive => Self::Inconclusive,
-        }
+        RunOutcome::of(verdict, false, true).into()
     }
 
     /// Verdict, and the cause if the bench and not the controller decided it.

@@ -89,10 +89,8 @@ pub(super) fn explore(arguments: &ExploreArgs, detail: Detail) -> CommandResult 
         }
     };
     let is_empty = report.scenes == 0 && report.regressions == 0;
-    let exit = || match report.verdict {
-        _ if is_empty => Exit::NothingToRun,
-        verdict => RunOutcome::of(verdict, false, report.safe_confirmed).into(),
-    };
+    let of_scenes = || RunOutcome::of(report.verdict, false, report.safe_confirmed).into();
+    let exit = || if is_empty { Exit::NothingToRun } else { of_scenes() };
     let exit = signal.map_or_else(exit, Exit::Signal);
     let lost = stop.filter(|_| signal.is_none());
     if lost.is_none() && exit.is_hidden(detail == Detail::Failures, arguments.format) {
