@@ -28,8 +28,9 @@ const TRIAL_PERIODS: u32 = 400;
 const WINDOW_PERIODS: u32 = 40;
 /// Half width of the settling band as a share of the setpoint.
 const BAND: f64 = 0.05;
-/// Longest loop delay with which a missed expectation is attributed to an own law, as a share of the control period.
-/// A loop that settles in two periods (τ of a third of it) loses 9° of phase by it.
+/// Longest loop delay with which a missed expectation is attributed to an own law, as a share of the
+/// control period. A loop that settles to 5 % in two periods has τ of 2/3 of a period, and loses 9°
+/// of phase by it.
 const OWN_LAW_DELAY: f64 = 0.1;
 /// Relative deviation from the setpoint at which the response counts as diverged.
 const DIVERGED: f64 = 10.0;

@@ -57,16 +57,6 @@ impl Model {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
-    /// What the model contains, and when a scene is played with it.
-    pub const fn description(self) -> &'static str {
-        match self {
-            Self::Linear => "two decoupled first-order systems, because the scenario requests it",
-            Self::Envelope => "first order with the slow pole only, because the scenario requests it",
-            Self::Modal => "the smallest that is exact for a plate file without a lock-in",
-            Self::Carrier => "with carrier, converter and demodulator, for the lock-in of the plate file",
-        }
-    }
-
     pub const fn has_both_poles(self) -> bool {
         matches!(self, Self::Modal | Self::Carrier)
     }

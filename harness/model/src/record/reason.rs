@@ -364,8 +364,9 @@ pub struct ExpectationRecord {
     /// Distance of `value` to the limit, divided by the limit's scale, see [`Limit::margin`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub margin: Option<f64>,
-    /// Standard uncertainty that arithmetic, rows, messages and sampling of the bench add to `value`, in its unit.
-    /// Noise and converters belong to the scenario and are no part of it. Absent on a real plate.
+    /// Standard uncertainty that arithmetic, rows, messages and sampling of the bench add to `value`,
+    /// in its unit. Noise and converters belong to the scenario and are no part of it. Absent on a
+    /// real plate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub bench_error: Option<f64>,
     /// Smallest and largest value over trials if `statistic` is `worst`, otherwise the bounds at

@@ -131,7 +131,12 @@ impl ScenarioRecord {
 
     /// What the plate model contains, and why the scene was played with it.
     pub fn model_description(&self) -> Option<&'static str> {
-        Model::from_name(&self.model).map(Model::description)
+        Model::from_name(&self.model).map(|model| match model {
+            Model::Linear => "two decoupled first-order systems, because the scenario requests it",
+            Model::Envelope => "first order with the slow pole only, because the scenario requests it",
+            Model::Modal => "the smallest that is exact for a plate file without a lock-in",
+            Model::Carrier => "with carrier, converter and demodulator, for the lock-in of the plate file",
+        })
     }
 
     /// Key of an expectation in the metrics of a trial. The first expectation of a metric has its

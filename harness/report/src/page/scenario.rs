@@ -102,6 +102,7 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
         let unit = format::unit(expectation.metric);
         let value = Cell::optional(format::value_or_not_reached(expectation));
         let value = value.with_unit(format::unit_of_value(expectation)).html();
+        let error = expectation.bench_error.map(|error| format!("bench ± {error:.0e}"));
         let limit = Cell::from(format::limit(expectation)).with_unit(unit).html();
         let margin = expectation.margin.filter(|_| expectation.verdict == Verdict::Pass);
         let cells = [
@@ -110,7 +111,7 @@ fn expectations_table(scenario: &ScenarioRecord, trends: &[Vec<TrendPoint>]) -> 
             Some(Cell::default().with_markup(html! {
                 strong { (value) }
                 @if scenario.trials.len() > 1 { span.statistic { (format::statistic(expectation)) } }
-                @if let Some(error) = expectation.bench_error { span.statistic { "bench ± " (format!("{error:.0e}")) } }
+                @if let Some(error) = &error { span.statistic { (error) } }
             })),
             has_paper.then(|| Cell::optional(expectation.paper.map(format::number)).with_unit(unit)),
             Some(Cell::default().with_markup(html! {
