@@ -8,7 +8,6 @@
 mod output;
 mod program;
 
-use crate::cancel::CancelToken;
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
 use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
 use crate::link::{BoxedLink, Link, LinkError, LinkKind, RealTimeLine};
@@ -127,7 +126,6 @@ pub struct ExecLink {
     // Declared, and so dropped, before `program`: the line must hang up before the program ends.
     port: Port<OwnedFd>,
     program: Program,
-    cancel: CancelToken,
     last_byte: Instant,
 }
 
@@ -139,10 +137,9 @@ impl ExecLink {
     pub fn start_with(command: &str, options: &ConnectOptions) -> Result<Self, ExecError> {
         let words = CommandLine::parse(command)?;
         let (master, slave, name) = open_pseudo_terminal().map_err(|error| ExecError::Terminal(error.into()))?;
-        let program = Program::start(words.program(), words.arguments(&name), &name)
+        let program = Program::start(words.program(), words.arguments(&name), &name, options.cancel.clone())
             .map_err(|error| ExecError::Start { program: words.program().to_owned(), error })?;
-        let (port, cancel) = (master.with_options(options), options.cancel.clone());
-        let mut exec = Self { port, program, cancel, last_byte: Instant::now() };
+        let mut exec = Self { port: master.with_options(options), program, last_byte: Instant::now() };
         exec.port.expect_silence();
         exec.wait_for_handshake(&name)?;
         // Without this handle of the bench, the line hangs up when the program ends.
@@ -155,9 +152,9 @@ impl ExecLink {
     }
 
     fn wait_for_handshake(&mut self, name: &str) -> Result<(), ExecError> {
-        let Self { port, program, cancel, .. } = self;
+        let Self { port, program, .. } = self;
         let name_of = |program: &Program| program.name().to_owned();
-        match handshake(port, HANDSHAKE_TIMEOUT, cancel, || program.exit()) {
+        match handshake(port, HANDSHAKE_TIMEOUT, program.cancel(), || program.exit()) {
             Ok(_) => {
                 debug!(pid = program.process_id(), "program started");
                 Ok(())
@@ -174,7 +171,7 @@ impl ExecLink {
     /// If the line is lost, the error says how the program ended.
     fn with_port<T>(&mut self, call: impl FnOnce(&mut Port<OwnedFd>) -> Result<T, LinkError>) -> Result<T, LinkError> {
         call(&mut self.port).map_err(|error| match error {
-            LinkError::Disconnected(_) => match self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT, &self.cancel) {
+            LinkError::Disconnected(_) => match self.program.wait_for_exit(EXIT_DETECTION_TIMEOUT) {
                 Some(how) => ended(&self.program, &how),
                 None => LinkError::Disconnected(format!(
                     "`{}` still runs, but has closed its serial port",

@@ -14,6 +14,8 @@ use tracing::{debug, warn};
 
 /// Longest wait for the program's exit after the hang-up, and again after SIGTERM.
 const EXIT_GRACE: Duration = Duration::from_millis(500);
+/// The same after a cancellation, so that Ctrl-C ends the bench within a second.
+const CANCELLED_EXIT_GRACE: Duration = Duration::from_millis(100);
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 /// Environment variable that marks the program and all processes that it starts.
 const MARKER: &str = "PLATEBENCH_PROGRAM";
@@ -24,12 +26,18 @@ pub(crate) struct Program {
     name: String,
     child: Child,
     marker: String,
+    cancel: CancelToken,
     // Dropped after the program has ended, so that its last lines are printed.
     _output: OutputRelay,
 }
 
 impl Program {
-    pub(crate) fn start(name: &str, arguments: impl Iterator<Item = String>, port: &str) -> io::Result<Self> {
+    pub(crate) fn start(
+        name: &str,
+        arguments: impl Iterator<Item = String>,
+        port: &str,
+        cancel: CancelToken,
+    ) -> io::Result<Self> {
         let (output, writer) = io::pipe()?;
         let marker = format!("{} {port}", std::process::id());
         let mut command = command(name);
@@ -39,7 +47,7 @@ impl Program {
         let child = command.spawn()?;
         // The command keeps the bench's ends of the pipe, which must close at the program's end.
         drop(command);
-        Ok(Self { name: name.to_owned(), child, marker, _output: output })
+        Ok(Self { name: name.to_owned(), child, marker, cancel, _output: output })
     }
 
     pub(crate) fn name(&self) -> &str {
@@ -50,6 +58,10 @@ impl Program {
         self.child.id()
     }
 
+    pub(crate) fn cancel(&self) -> &CancelToken {
+        &self.cancel
+    }
+
     fn pid(&self) -> Pid {
         Pid::from_child(&self.child)
     }
@@ -57,15 +69,15 @@ impl Program {
     /// Returns a description of the exit; `None` if the program runs. The program remains a zombie, so
     /// that its process number and group are not used again.
     pub(crate) fn exit(&self) -> Option<String> {
-        self.wait_for_exit(Duration::ZERO, &CancelToken::never())
+        self.wait_for_exit(Duration::ZERO)
     }
 
     /// Like [`Self::exit`]; `None` on time-out. A cancellation shortens the wait.
-    pub(crate) fn wait_for_exit(&self, timeout: Duration, cancel: &CancelToken) -> Option<String> {
+    pub(crate) fn wait_for_exit(&self, timeout: Duration) -> Option<String> {
         let started = Instant::now();
         let is_over = || {
             let waited = started.elapsed();
-            waited >= timeout || (waited >= EXIT_GRACE && cancel.is_cancelled())
+            waited >= timeout || (waited >= CANCELLED_EXIT_GRACE && self.cancel.is_cancelled())
         };
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         loop {
@@ -132,11 +144,11 @@ fn exit_description(status: &WaitIdStatus) -> String {
 
 impl Drop for Program {
     fn drop(&mut self) {
-        let mut ended = self.wait_for_exit(EXIT_GRACE, &CancelToken::never());
+        let mut ended = self.wait_for_exit(EXIT_GRACE);
         if ended.is_none() {
             warn!(program = self.name, "the program still runs after its line hung up: sending SIGTERM");
             self.signal(Signal::TERM);
-            ended = self.wait_for_exit(EXIT_GRACE, &CancelToken::never());
+            ended = self.wait_for_exit(EXIT_GRACE);
         }
         if ended.is_none() {
             warn!(program = self.name, "the program still runs after SIGTERM: sending SIGKILL");
@@ -149,7 +161,7 @@ impl Drop for Program {
             warn!(program = name, pids = ?left,
                 "processes that the program started have left its process group; they still run, end them by hand");
         }
-        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE, &CancelToken::never())) {
+        if let Some(how) = ended.or_else(|| self.wait_for_exit(EXIT_GRACE)) {
             debug!(program = self.name, how, status = ?self.child.wait(), "program ended");
         } else {
             // The process is blocked in the kernel. A wait for its end could block the bench, too.
@@ -174,9 +186,13 @@ mod tests {
     }
 
     fn script(folder: &tempfile::TempDir, text: &str) -> (Program, Vec<String>) {
+        cancellable_script(folder, text, &CancelToken::never())
+    }
+
+    fn cancellable_script(folder: &tempfile::TempDir, text: &str, cancel: &CancelToken) -> (Program, Vec<String>) {
         let pids_file = folder.path().join("pids");
         let arguments = ["-c".to_owned(), text.to_owned(), pids_file.display().to_string()];
-        let program = Program::start("sh", arguments.into_iter(), &folder.path().display().to_string());
+        let program = Program::start("sh", arguments.into_iter(), &folder.path().display().to_string(), cancel.clone());
         let deadline = Instant::now() + Duration::from_secs(10);
         loop {
             let pids = fs::read_to_string(&pids_file).unwrap_or_default();
@@ -203,6 +219,17 @@ mod tests {
             assert!(Instant::now() < deadline, "{pids:?}");
             std::thread::sleep(POLL_INTERVAL);
         }
+    }
+
+    #[test]
+    fn a_cancellation_shortens_the_wait_for_the_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let cancel = CancelToken::never();
+        let text = r#"trap "" TERM HUP; echo done >"$0"; while :; do sleep 0.01; done"#;
+        let (program, _) = cancellable_script(&folder, text, &cancel);
+        cancel.cancel();
+        // Without the cancellation, it waits for an hour.
+        assert_eq!(program.wait_for_exit(Duration::from_hours(1)), None);
     }
 
     #[test]
