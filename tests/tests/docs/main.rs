@@ -17,5 +17,6 @@ mod links;
 mod page;
 mod played_recipes;
 mod reference;
+mod scenario_path;
 mod templates;
 mod tutorial;
