@@ -37,4 +37,4 @@ pub use platebench_rig::CancelToken;
 pub use rejudge::{RejudgeError, rejudge};
 pub use run::run;
 pub use timing::{Pacing, TimeBase};
-pub use trial::{Trial, TrialResult, configure, law, law_names, wire_fault_kind};
+pub use trial::{Trial, TrialResult, configure, law, law_names};

@@ -3,7 +3,7 @@
 
 use crate::controller_log::{ControllerLog, MAX_MISSED_REPLIES, is_controller_failure};
 use crate::plant_simulation::{PlantSimulation, expected_rows};
-use crate::trial::{Trial, TrialResult, WATCHDOG_PERIODS, chip_fault_plan, planned_stops, wire_faults};
+use crate::trial::{Trial, TrialResult, WATCHDOG_PERIODS, chip_fault_plan, planned_stops, set_line_faults};
 use platebench_model::record::{StepTime, Telemetry, Transport};
 use platebench_model::scenario::{LoopInsertion, Metric, Scenario, Variation};
 use platebench_model::trace::{Flags, Row};
@@ -196,11 +196,10 @@ impl ReplyStats {
 impl<'a, L: Link> LockstepLoop<'a, L> {
     fn start(session: &'a mut Session<FaultInjector<L>>, trial: Trial<'a>) -> Self {
         let Trial { scenario, index, continues, .. } = trial;
-        let faults = wire_faults(scenario, index);
-        session.link_mut().set_faults(&faults);
+        set_line_faults(session.link_mut(), scenario, index);
         let chip_faults = chip_fault_plan(scenario, index);
         if let Some(chip) = session.link_mut().chip() {
-            let needs_words = trial.wire_time || !faults.is_empty() || !chip_faults.faults.is_empty();
+            let needs_words = trial.wire_time || !scenario.faults.is_empty() || !chip_faults.faults.is_empty();
             chip.set_transport(if needs_words { Transport::Words } else { transport(scenario, index) });
         }
         let planned = session.link_mut().set_chip_faults(&chip_faults);

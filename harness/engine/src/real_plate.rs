@@ -31,7 +31,7 @@ pub(crate) fn play<L: Link>(
     let (scenario, cancel) = (trial.scenario, &trial.cancel);
     let Some(preparation) = prepare_plate(scenario, operator, cancel) else { return Ok(None) };
     // A fault could break a real plate, so the planned faults are removed.
-    session.link_mut().set_faults(&[]);
+    session.link_mut().set_faults(&[], 0);
     let (queue, consumer) = RowQueue::new();
     let is_attended = needs_operator(scenario) && preparation.not_done.is_none();
     let mut prompts = Prompts::from_scenario(scenario);

@@ -10,7 +10,7 @@ pub use rtrb::Consumer;
 
 use crate::plant_simulation::{ManualControl, PlantSimulation, RowQueue, collect_rows, expected_rows};
 use crate::timing::{ThreadScheduling, TimeBase};
-use crate::trial::{Trial, TrialAbort, TrialResult, configure, wire_faults};
+use crate::trial::{Trial, TrialAbort, TrialResult, configure, set_line_faults};
 use control_loop::RealTimeLoop;
 use platebench_model::record::Telemetry;
 use platebench_model::trace::Row;
@@ -68,7 +68,7 @@ fn run_loop<L: Link, T>(
 ) -> (T, Option<(Telemetry, Option<RigError>)>) {
     let (queue, consumer) = RowQueue::new();
     let plant = PlantSimulation::new(trial.scenario, trial.index, queue, trial.tap.take());
-    session.link_mut().set_faults(&wire_faults(trial.scenario, trial.index));
+    set_line_faults(session.link_mut(), trial.scenario, trial.index);
     let steal_before = StealTime::now();
     thread::scope(|scope| {
         let real_time = scope.spawn(move || {

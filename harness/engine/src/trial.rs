@@ -4,14 +4,10 @@
 use crate::live_tap::TapWriter;
 use crate::plan::RunError;
 use platebench_model::record::Telemetry;
-use platebench_model::scenario::{
-    BitFlipTarget, ChipFault, ChipFaultKind, Diagnostic, Direction, Fault, FaultKind, OWN_LAW, Scenario, Variation,
-    suggestion,
-};
+use platebench_model::scenario::{ChipFault, ChipFaultKind, Diagnostic, OWN_LAW, Scenario, Variation, suggestion};
 use platebench_model::trace::Row;
 use platebench_plate::Time;
-use platebench_rig::{CancelToken, Direction as Way, HostedLink, RigError, Session, WireFault, WireFaultKind};
-use platebench_rig::{ChipFault as RigChipFault, ChipFaultKind as RigChipFaultKind, ChipFaultPlan};
+use platebench_rig::{CancelToken, ChipFaultPlan, DatedChipFault, FaultInjector, HostedLink, Link, RigError, Session};
 use platebench_wire::{Configure, Gains, Identity, LawId};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -147,9 +143,9 @@ pub(crate) fn start_frequency_mhz(scenario: &Scenario) -> u32 {
     (scenario.controller.start_frequency_hz * 1e3).round() as u32
 }
 
-pub(crate) fn wire_faults(scenario: &Scenario, index: u32) -> Vec<WireFault> {
-    let seed = Variation::of_trial(scenario, index).seed;
-    scenario.faults.iter().map(|fault| wire_fault(fault, seed)).collect()
+/// Call it before the configuration of the trial.
+pub(crate) fn set_line_faults<L: Link>(link: &mut FaultInjector<L>, scenario: &Scenario, index: u32) {
+    link.set_faults(&scenario.faults, Variation::of_trial(scenario, index).seed);
 }
 
 /// Draws instants and bits that the scenario does not state, from the seed of the trial.
@@ -162,29 +158,16 @@ pub(crate) fn chip_fault_plan(scenario: &Scenario, index: u32) -> ChipFaultPlan 
     ChipFaultPlan { faults, answer_timeout: Duration::from(scenario.controller.period).max(MIN_CHIP_ANSWER_TIMEOUT) }
 }
 
-fn chip_fault(fault: &ChipFault, seed: u64, stream: u64, duration: Time) -> RigChipFault {
+fn chip_fault(fault: &ChipFault, seed: u64, stream: u64, duration: Time) -> DatedChipFault {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(stream);
     let (instant, draw) = (random.next_u64(), random.next_u64());
     let at = fault.at.map_or_else(|| Duration::from_nanos(instant % duration.as_nanos().max(1)), Duration::from);
-    let kind = match &fault.kind {
-        ChipFaultKind::BitFlip { target, bit } => {
-            let draw = bit.map_or(draw, u64::from);
-            match target {
-                BitFlipTarget::Ram { start, length } => {
-                    RigChipFaultKind::FlipRam { start: *start, length: *length, draw }
-                }
-                BitFlipTarget::Variable(name) => RigChipFaultKind::FlipVariable { name: name.clone(), draw },
-                BitFlipTarget::Register(number) => RigChipFaultKind::FlipRegister { number: *number, draw },
-            }
-        }
-        ChipFaultKind::Reset => RigChipFaultKind::Reset,
-        ChipFaultKind::PowerCut => RigChipFaultKind::PowerCut,
-        ChipFaultKind::ClockDrift(ppm) => RigChipFaultKind::ClockDrift { ppm: *ppm },
-        ChipFaultKind::Hang => RigChipFaultKind::Hang,
-        ChipFaultKind::Stuck { address, value } => RigChipFaultKind::Stuck { address: *address, value: *value },
+    let draw = match fault.kind {
+        ChipFaultKind::BitFlip { bit: Some(bit), .. } => bit.into(),
+        _ => draw,
     };
-    RigChipFault { at, kind }
+    DatedChipFault { at, kind: fault.kind.clone(), draw }
 }
 
 /// Returns the instants at which the watchdog expires because of a planned silence, last one first.
@@ -196,35 +179,6 @@ pub(crate) fn planned_stops(scenario: &Scenario) -> Vec<Time> {
     let mut stops: Vec<Time> = silences.map(|fault| fault.from + period.times(WATCHDOG_PERIODS - 1)).collect();
     stops.sort_by(|one, other| other.cmp(one));
     stops
-}
-
-pub fn wire_fault_kind(kind: FaultKind) -> WireFaultKind {
-    match kind {
-        FaultKind::Drop => WireFaultKind::Drop,
-        FaultKind::Flip => WireFaultKind::Flip,
-        FaultKind::Duplicate => WireFaultKind::Duplicate,
-        FaultKind::Delay(delay) => WireFaultKind::Delay(delay.into()),
-        FaultKind::Truncate => WireFaultKind::Truncate,
-        FaultKind::Babble => WireFaultKind::Babble,
-        FaultKind::Disconnect => WireFaultKind::Disconnect,
-        FaultKind::Freeze => WireFaultKind::Freeze,
-        FaultKind::Scale(factor) => WireFaultKind::Scale(factor as f32),
-    }
-}
-
-fn wire_fault(fault: &Fault, seed: u64) -> WireFault {
-    WireFault {
-        kind: wire_fault_kind(fault.kind),
-        from: fault.from.into(),
-        until: fault.until.map(Duration::from),
-        direction: match fault.direction {
-            Direction::ToController => Way::ToController,
-            Direction::FromController => Way::FromController,
-            Direction::Both => Way::Both,
-        },
-        every: fault.every,
-        seed: fault.seed.unwrap_or(seed),
-    }
 }
 
 /// True if the fault that stopped the controller is over and requests a new configuration.

@@ -142,9 +142,10 @@ pub(crate) fn command_difference(one: &Command, other: &Command, configuration: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
+    use crate::fault_injector::FaultInjector;
     use crate::link::BoxedLink;
     use crate::session::Session;
+    use platebench_model::scenario::{Direction, Fault, FaultKind, Time};
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::Sample;
     use rstest::rstest;
@@ -178,10 +179,10 @@ mod tests {
         }
     }
 
-    fn difference(controller: ChangedController, faults: &[WireFault]) -> Option<f64> {
+    fn difference(controller: ChangedController, faults: &[Fault]) -> Option<f64> {
         let mut session = Session::open(FaultInjector::new(controller)).unwrap();
         for _ in 0..2 {
-            session.link_mut().set_faults(faults);
+            session.link_mut().set_faults(faults, 1);
             session.link_mut().compare_with_reference(true);
             session.begin_trial(&CONFIGURE, true).unwrap();
             for step in 0..20_u16 {
@@ -219,10 +220,10 @@ mod tests {
 
     #[rstest]
     fn the_reference_gets_what_the_fault_leaves(
-        #[values(WireFaultKind::Drop, WireFaultKind::Duplicate, WireFaultKind::Flip)] kind: WireFaultKind,
+        #[values(FaultKind::Drop, FaultKind::Duplicate, FaultKind::Flip)] kind: FaultKind,
         #[values(Direction::ToController, Direction::FromController)] direction: Direction,
     ) {
-        let fault = WireFault { kind, from: Duration::ZERO, until: None, direction, every: 3, seed: 1 };
+        let fault = Fault { kind, from: Time::ZERO, until: None, direction, every: 3, seed: None, reconfigure: false };
         assert_eq!(difference(REFERENCE(), &[fault]), Some(0.0));
     }
 

@@ -6,11 +6,10 @@
 
 mod faults;
 
-pub use faults::{Direction, WireFault, WireFaultKind};
-
 use crate::compared_link::ComparedLink;
 use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, LinkKind, RealTimeLine};
 use faults::{ActiveFaults, FrameSplitter, QueuedPacket, decode_first_packet, is_sample};
+use platebench_model::scenario::Fault;
 use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -54,9 +53,10 @@ impl<L: Link> FaultInjector<L> {
         &mut self.inner.link
     }
 
-    /// Sets the next trial's faults and clears the counts. Call it before its configuration.
-    pub fn set_faults(&mut self, faults: &[WireFault]) {
-        self.active_faults = ActiveFaults::new(faults);
+    /// Sets the next trial's faults and clears the counts. `seed` is that of the trial. Call it
+    /// before its configuration.
+    pub fn set_faults(&mut self, faults: &[Fault], seed: u64) {
+        self.active_faults = ActiveFaults::new(faults, seed);
         self.overflow_count = 0;
         self.delivered_sample = [0.0; 2];
         self.clock = None;

@@ -44,10 +44,10 @@ pub use emulated::{EmulatedError, EmulatedLink};
 pub use factory::{
     Argument, BUILT_IN_IMAGE, Capability, ConnectError, ConnectOptions, FirmwareImage, Rig, RigFactory, RigProperties,
 };
-pub use fault_injector::{Direction, FaultInjector, WireFault, WireFaultKind};
+pub use fault_injector::FaultInjector;
 pub use handshake::RejectedBytes;
 pub use link::{
-    BoxedLink, Chip, ChipFault, ChipFaultError, ChipFaultKind, ChipFaultPlan, Link, LinkError, LinkKind, RealTimeLine,
+    BoxedLink, Chip, ChipFaultError, ChipFaultPlan, DatedChipFault, Link, LinkError, LinkKind, RealTimeLine,
     TargetError, UnsupportedAccess,
 };
 pub use port::{DEFAULT_REPLY_TIMEOUT, PtyLink};

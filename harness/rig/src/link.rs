@@ -6,6 +6,7 @@ use crate::rejected_frame::RejectedFrame;
 use crate::symbols::CodeLocation;
 use platebench_model::metrics::EnablePin;
 use platebench_model::record::Transport;
+use platebench_model::scenario::ChipFaultKind;
 use std::fmt;
 use std::ops::DerefMut;
 use std::time::{Duration, Instant};
@@ -166,60 +167,20 @@ impl<P: DerefMut<Target: Link> + Send> Link for P {
     }
 }
 
-/// Planned fault of the chip, which only the emulated board can apply.
+/// Planned fault of the chip with its instant and its random choice.
 #[derive(Debug, Clone, PartialEq)]
-pub enum ChipFaultKind {
-    /// Flips one bit of `length` bytes at `start`: bit `draw` modulo the number of bits.
-    FlipRam {
-        start: u32,
-        length: u32,
-        draw: u64,
-    },
-    FlipVariable {
-        name: String,
-        draw: u64,
-    },
-    /// `number` is GDB's number of the register: 0 to 12 for r0 to r12, then sp, lr, pc.
-    FlipRegister {
-        number: usize,
-        draw: u64,
-    },
-    Reset,
-    PowerCut,
-    ClockDrift {
-        ppm: f64,
-    },
-    Hang,
-    Stuck {
-        address: u32,
-        value: u32,
-    },
-}
-
-impl ChipFaultKind {
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::FlipRam { .. } | Self::FlipVariable { .. } | Self::FlipRegister { .. } => "bit-flip",
-            Self::Reset => "reset",
-            Self::PowerCut => "power-cut",
-            Self::ClockDrift { .. } => "clock-drift",
-            Self::Hang => "hang",
-            Self::Stuck { .. } => "stuck",
-        }
-    }
-}
-
-#[derive(Debug, Clone, PartialEq)]
-pub struct ChipFault {
+pub struct DatedChipFault {
     /// Time since the start of the trial.
     pub at: Duration,
     pub kind: ChipFaultKind,
+    /// A bit flip changes bit `draw` modulo the number of bits.
+    pub draw: u64,
 }
 
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ChipFaultPlan {
     /// Sorted by time.
-    pub faults: Vec<ChipFault>,
+    pub faults: Vec<DatedChipFault>,
     /// The plate waits at most this long for an answer.
     pub answer_timeout: Duration,
 }

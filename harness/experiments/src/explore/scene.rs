@@ -7,7 +7,6 @@ use crate::explore::envelope::Ranges;
 use crate::explore::limits::ExploredLaw;
 use crate::explore::properties::Property;
 use platebench_controller::design::{PiGains, default_response_time_s};
-use platebench_engine::wire_fault_kind;
 use platebench_model::scenario::raw::{RawController, RawFault};
 use platebench_model::scenario::{Direction, FaultKind, ScenarioGains};
 use platebench_plate::{Mode, Plate, Time};
@@ -356,7 +355,7 @@ impl LineFault {
             _ => None,
         };
         RawFault {
-            kind: wire_fault_kind(self.kind).name().to_owned(),
+            kind: self.kind.name().to_owned(),
             from_ms,
             until_ms,
             direction: Some(self.direction.name().to_owned()),

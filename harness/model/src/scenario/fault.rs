@@ -3,20 +3,31 @@
 
 use platebench_plate::Time;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, strum::EnumCount, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "lowercase")]
 pub enum FaultKind {
     Drop,
+    /// Flips one bit, possibly of the delimiter.
     Flip,
     Duplicate,
     Delay(Time),
+    /// Loses the second half of the message, with the delimiter.
     Truncate,
+    /// Sends four invalid frames, 64 bytes, before the message.
     Babble,
+    /// Loses all messages in the window.
     Disconnect,
+    /// Keeps Wd and Wq of the last sample before the window.
     Freeze,
+    /// Multiplies Wd and Wq.
     Scale(f64),
 }
 
 impl FaultKind {
+    pub const fn name(self) -> &'static str {
+        self.into_str()
+    }
+
     pub const fn affects_sensor(self) -> bool {
         matches!(self, Self::Freeze | Self::Scale(_))
     }
@@ -27,6 +38,7 @@ impl FaultKind {
 pub enum Direction {
     ToController,
     FromController,
+    /// Samples to the controller and commands from it, counted separately.
     #[default]
     Both,
 }
@@ -39,6 +51,7 @@ impl Direction {
     }
 }
 
+/// Instants count from the start of the trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fault {
     pub kind: FaultKind,
@@ -46,6 +59,7 @@ pub struct Fault {
     /// End of the fault, exclusive. It is `None` for a line that stays disconnected.
     pub until: Option<Time>,
     pub direction: Direction,
+    /// Affects every n-th message per direction in the window; 0 affects none.
     pub every: u32,
     /// Seed of random effects. If it is `None`, the seed of the trial applies.
     pub seed: Option<u64>,
@@ -95,7 +109,8 @@ impl Fault {
 
 /// `ClockDrift` is the frequency error in parts per million, positive if the clocks are fast. If
 /// the `bit` of a `BitFlip` is `None`, the trial's seed selects the bit.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, strum::IntoStaticStr)]
+#[strum(const_into_str, serialize_all = "kebab-case")]
 pub enum ChipFaultKind {
     BitFlip { target: BitFlipTarget, bit: Option<u32> },
     Reset,
@@ -103,6 +118,12 @@ pub enum ChipFaultKind {
     ClockDrift(f64),
     Hang,
     Stuck { address: u32, value: u32 },
+}
+
+impl ChipFaultKind {
+    pub const fn name(&self) -> &'static str {
+        self.into_str()
+    }
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]

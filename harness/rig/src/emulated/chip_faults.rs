@@ -2,8 +2,9 @@
 //! registers.
 
 use super::machine::{Machine, emulator_error};
-use crate::link::{ChipFault, ChipFaultError, ChipFaultKind, ChipFaultPlan, TargetError};
+use crate::link::{ChipFaultError, ChipFaultPlan, DatedChipFault, TargetError};
 use crate::symbols::Symbols;
+use platebench_model::scenario::{BitFlipTarget, ChipFaultKind};
 use rigless::time::VirtualNanos;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -13,7 +14,7 @@ const PPM: f64 = 1e-6;
 #[derive(Debug, Default)]
 pub(super) struct ChipFaults {
     pub(super) plan: ChipFaultPlan,
-    pending: VecDeque<ChipFault>,
+    pending: VecDeque<DatedChipFault>,
     /// Trial time at which a clock drift starts, and the drift in ppm. A positive drift means that
     /// the chip's clocks are faster.
     drift: Option<(Duration, f64)>,
@@ -50,13 +51,11 @@ impl ChipFaults {
 
     pub(super) fn apply_next(&mut self, machine: &mut Machine) -> Result<(), TargetError> {
         let Some(fault) = self.pending.pop_front() else { return Ok(()) };
-        match fault.kind {
-            ChipFaultKind::ClockDrift { ppm } => {
-                self.drift = Some((fault.at, ppm));
-                Ok(())
-            }
-            kind => machine.apply_fault(&kind),
+        if let ChipFaultKind::ClockDrift(ppm) = fault.kind {
+            self.drift = Some((fault.at, ppm));
+            return Ok(());
         }
+        machine.apply_fault(&fault)
     }
 }
 
@@ -69,12 +68,13 @@ impl Machine {
     /// Returns start address and length (bytes) of the RAM in which `fault` flips a bit; `None` for
     /// other faults. Fails if this is not RAM.
     pub(super) fn flipped_memory(&self, fault: &ChipFaultKind) -> Result<Option<(u32, u32)>, ChipFaultError> {
-        let (start, length) = match fault {
-            ChipFaultKind::FlipRam { start, length, .. } => (*start, *length),
-            ChipFaultKind::FlipVariable { name, .. } => {
+        let ChipFaultKind::BitFlip { target, .. } = fault else { return Ok(None) };
+        let (start, length) = match target {
+            BitFlipTarget::Ram { start, length } => (*start, *length),
+            BitFlipTarget::Variable(name) => {
                 Symbols::variable(&self.image.elf, name).ok_or_else(|| ChipFaultError::NoVariable(name.clone()))?
             }
-            _ => return Ok(None),
+            BitFlipTarget::Register(_) => return Ok(None),
         };
         let at = u64::from(start);
         let is_ram =
@@ -82,12 +82,21 @@ impl Machine {
         if is_ram { Ok(Some((start, length))) } else { Err(ChipFaultError::NoRam { start, length }) }
     }
 
-    pub(super) fn apply_fault(&mut self, fault: &ChipFaultKind) -> Result<(), TargetError> {
+    pub(super) fn apply_fault(&mut self, fault: &DatedChipFault) -> Result<(), TargetError> {
         self.is_faulted = true;
         let now = VirtualNanos(self.now_ns());
-        match *fault {
-            ChipFaultKind::FlipRam { draw, .. } | ChipFaultKind::FlipVariable { draw, .. } => {
-                let memory = self.flipped_memory(fault).map_err(|error| emulator_error(&error))?;
+        let DatedChipFault { kind, draw, .. } = fault;
+        match *kind {
+            ChipFaultKind::BitFlip { target: BitFlipTarget::Register(number), .. } => {
+                let mut bytes = self.core.gdb_register(number).unwrap_or_default();
+                let bit = *draw as usize % (8 * bytes.len().max(1));
+                if let Some(byte) = bytes.get_mut(bit / 8) {
+                    *byte ^= 1 << (bit % 8);
+                }
+                self.core.set_gdb_register(number, &bytes);
+            }
+            ChipFaultKind::BitFlip { .. } => {
+                let memory = self.flipped_memory(kind).map_err(|error| emulator_error(&error))?;
                 if let Some((start, length)) = memory {
                     let bit = draw % (u64::from(length) * 8);
                     let address = u64::from(start) + bit / 8;
@@ -95,16 +104,8 @@ impl Machine {
                     self.bus.memory.store(address, &[byte ^ 1 << (bit % 8)]);
                 }
             }
-            ChipFaultKind::FlipRegister { number, draw } => {
-                let mut bytes = self.core.gdb_register(number).unwrap_or_default();
-                let bit = draw as usize % (8 * bytes.len().max(1));
-                if let Some(byte) = bytes.get_mut(bit / 8) {
-                    *byte ^= 1 << (bit % 8);
-                }
-                self.core.set_gdb_register(number, &bytes);
-            }
             ChipFaultKind::Reset | ChipFaultKind::PowerCut => {
-                if *fault == ChipFaultKind::PowerCut {
+                if *kind == ChipFaultKind::PowerCut {
                     self.bus.memory.power_off();
                 }
                 let instructions = self.core.retired();
@@ -115,7 +116,7 @@ impl Machine {
                 self.core.set_gdb_register(PC, &(HANG.0 as u32).to_le_bytes());
             }
             ChipFaultKind::Stuck { address, value } => self.bus.stuck.push((address, value)),
-            ChipFaultKind::ClockDrift { .. } => {}
+            ChipFaultKind::ClockDrift(_) => {}
         }
         self.bus.notify_core(&mut *self.core);
         Ok(())

@@ -1,70 +1,12 @@
-//! Describes the faults of samples and commands and applies them to one message, without allocation
-//! during a trial.
+//! Applies planned faults to one message, without allocation during a trial.
 
 use arrayvec::ArrayVec;
+use platebench_model::scenario::{Direction, Fault, FaultKind, Time};
 use platebench_wire::{MAX_ENCODED, Message, Packet, PacketReader, Sample};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::time::Duration;
-
-#[derive(Debug, Clone, Copy, PartialEq, strum::IntoStaticStr)]
-#[strum(const_into_str, serialize_all = "lowercase")]
-pub enum WireFaultKind {
-    Drop,
-    /// Flips one bit, possibly of the delimiter.
-    Flip,
-    Duplicate,
-    Delay(Duration),
-    /// Loses the second half of the message, with the delimiter.
-    Truncate,
-    /// Sends four invalid frames, 64 bytes, before the message.
-    Babble,
-    /// Loses all messages in the window.
-    Disconnect,
-    /// Keeps Wd and Wq of the last sample before the window.
-    Freeze,
-    /// Multiplies Wd and Wq.
-    Scale(f32),
-}
-
-impl WireFaultKind {
-    pub(super) const COUNT: usize = 9;
-
-    pub const fn name(self) -> &'static str {
-        self.into_str()
-    }
-
-    pub(super) const fn affects_sensor(self) -> bool {
-        matches!(self, Self::Freeze | Self::Scale(_))
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Direction {
-    ToController,
-    FromController,
-    /// Samples to the controller and commands from it, counted separately.
-    Both,
-}
-
-/// Instants count from the start of the trial.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WireFault {
-    pub kind: WireFaultKind,
-    pub from: Duration,
-    /// Exclusive end; `None` for the end of the trial.
-    pub until: Option<Duration>,
-    pub direction: Direction,
-    /// Affects every n-th message per direction in the window; 0 affects none.
-    pub every: u32,
-    pub seed: u64,
-}
-
-impl WireFault {
-    pub(super) fn is_active_at(&self, now: Duration) -> bool {
-        self.from <= now && self.until.is_none_or(|until| now < until)
-    }
-}
+use strum::EnumCount;
 
 /// First random stream of the faults. Sensor noise and plate spread use streams 0 and 1.
 const FIRST_STREAM: u64 = 2;
@@ -78,12 +20,12 @@ pub(super) struct ActiveFaults {
     /// Faults of the sensor come first, because a sample passes the sensor before the line.
     faults: Vec<ActiveFault>,
     last_sample: Option<[f32; 2]>,
-    counts: [Option<(&'static str, u64)>; WireFaultKind::COUNT],
+    counts: [Option<(&'static str, u64)>; FaultKind::COUNT],
 }
 
 #[derive(Debug)]
 struct ActiveFault {
-    fault: WireFault,
+    fault: Fault,
     random: ChaCha8Rng,
     /// Number of messages in the fault's window, to the controller and from it.
     message_counts: [u64; 2],
@@ -91,9 +33,10 @@ struct ActiveFault {
 }
 
 impl ActiveFaults {
-    pub(super) fn new(faults: &[WireFault]) -> Self {
+    /// `seed` is that of the trial, for faults without a seed of their own.
+    pub(super) fn new(faults: &[Fault], seed: u64) -> Self {
         let mut faults: Vec<_> =
-            (FIRST_STREAM..).zip(faults).map(|(stream, fault)| ActiveFault::new(*fault, stream)).collect();
+            (FIRST_STREAM..).zip(faults).map(|(stream, fault)| ActiveFault::new(*fault, seed, stream)).collect();
         faults.sort_by_key(|active| !active.fault.kind.affects_sensor());
         Self { faults, ..Self::default() }
     }
@@ -102,7 +45,7 @@ impl ActiveFaults {
         !self.faults.is_empty()
     }
 
-    pub(super) fn counts(&self) -> [Option<(&'static str, u64)>; WireFaultKind::COUNT] {
+    pub(super) fn counts(&self) -> [Option<(&'static str, u64)>; FaultKind::COUNT] {
         self.counts
     }
 
@@ -129,8 +72,8 @@ impl ActiveFaults {
 }
 
 impl ActiveFault {
-    fn new(fault: WireFault, stream: u64) -> Self {
-        let mut random = ChaCha8Rng::seed_from_u64(fault.seed);
+    fn new(fault: Fault, seed: u64, stream: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(fault.seed.unwrap_or(seed));
         random.set_stream(stream);
         Self { fault, random, message_counts: [0; 2], frozen: None }
     }
@@ -141,7 +84,7 @@ impl ActiveFault {
         } else {
             self.fault.direction == Direction::Both || self.fault.direction == direction
         };
-        if !applies || !self.fault.is_active_at(now) {
+        if !applies || !self.fault.is_active_at(Time::from_nanos(now.as_nanos() as u64)) {
             return false;
         }
         let [to, from] = &mut self.message_counts;
@@ -156,18 +99,18 @@ impl ActiveFault {
     fn apply(&mut self, mut packet: QueuedPacket) -> Option<QueuedPacket> {
         let length = packet.bytes.len();
         match self.fault.kind {
-            WireFaultKind::Drop | WireFaultKind::Disconnect => return None,
-            WireFaultKind::Flip => packet.flip(self.random.next_u32() as usize % (8 * length)),
-            WireFaultKind::Duplicate => packet.duplicate(),
-            WireFaultKind::Delay(delay) => packet.due += delay,
-            WireFaultKind::Truncate => packet.bytes.truncate(length / 2),
-            WireFaultKind::Babble => packet.prepend(&self.noise()),
-            WireFaultKind::Freeze => {
+            FaultKind::Drop | FaultKind::Disconnect => return None,
+            FaultKind::Flip => packet.flip(self.random.next_u32() as usize % (8 * length)),
+            FaultKind::Duplicate => packet.duplicate(),
+            FaultKind::Delay(delay) => packet.due += Duration::from(delay),
+            FaultKind::Truncate => packet.bytes.truncate(length / 2),
+            FaultKind::Babble => packet.prepend(&self.noise()),
+            FaultKind::Freeze => {
                 let frozen = &mut self.frozen;
                 return with_components(packet, |sensed| *frozen.get_or_insert(sensed));
             }
-            WireFaultKind::Scale(factor) => {
-                return with_components(packet, |sensed| sensed.map(|value| value * factor));
+            FaultKind::Scale(factor) => {
+                return with_components(packet, |sensed| sensed.map(|value| value * factor as f32));
             }
         }
         Some(packet)

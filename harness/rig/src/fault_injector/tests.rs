@@ -4,19 +4,24 @@ use super::*;
 use crate::link::{Link, LinkError, RealTimeLine};
 use crate::rigs::hosted::HostedLink;
 use crate::session::Session;
+use platebench_model::scenario::{Direction, FaultKind, Time};
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::{Command, ControllerState, Message, Packet, Sample, StateCause};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-const ALWAYS: WireFault = WireFault {
-    kind: WireFaultKind::Drop,
-    from: Duration::ZERO,
+const ALWAYS: Fault = Fault {
+    kind: FaultKind::Drop,
+    from: Time::ZERO,
     until: None,
     direction: Direction::Both,
     every: 1,
-    seed: 1,
+    seed: None,
+    reconfigure: false,
 };
+
+/// Seed of the trial.
+const SEED: u64 = 1;
 
 /// Time and bytes of each call. The bytes are empty if only time advances.
 type Log = Arc<Mutex<Vec<(Duration, Vec<u8>)>>>;
@@ -68,6 +73,10 @@ impl RealTimeLine for LoggedDevice {
     }
 }
 
+const fn at(time: Duration) -> Time {
+    Time::from_nanos(time.as_nanos() as u64)
+}
+
 const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
@@ -89,11 +98,11 @@ struct Fixture {
     log: Log,
 }
 
-fn trial_with(faults: &[WireFault]) -> Fixture {
+fn trial_with(faults: &[Fault]) -> Fixture {
     let log = Log::default();
     let device = LoggedDevice { device: HostedLink::new(), log: log.clone(), waiting: Vec::new(), now: Instant::now() };
     let mut session = Session::open(FaultInjector::new(device)).unwrap();
-    session.link_mut().set_faults(faults);
+    session.link_mut().set_faults(faults, SEED);
     session.start_trial(&CONFIGURE).unwrap();
     log.lock().unwrap().clear();
     Fixture { session, log }
@@ -134,24 +143,25 @@ fn passes_everything_unchanged_without_faults() {
 
 #[test]
 fn affects_every_nth_message_of_a_half_open_window() {
-    let drop = WireFault { from: ms(2), until: Some(ms(6)), every: 2, direction: Direction::ToController, ..ALWAYS };
+    let drop =
+        Fault { from: at(ms(2)), until: Some(at(ms(6))), every: 2, direction: Direction::ToController, ..ALWAYS };
     let mut fixture = trial_with(&[drop]);
     let answered: Vec<_> = (0..9).filter(|at| fixture.sample(ms(*at), 1.0).is_some()).collect();
     assert_eq!(answered, [0, 1, 2, 4, 6, 7, 8]);
     assert_eq!(fixture.counts(), [("drop", 2)]);
 
-    let edges = WireFault { from: us(2_000), until: Some(us(4_000)), ..ALWAYS };
+    let edges = Fault { from: at(us(2_000)), until: Some(at(us(4_000))), ..ALWAYS };
     for (at, passes) in [(us(1_999), true), (us(2_000), false), (us(3_999), false), (us(4_000), true)] {
         let mut fixture = trial_with(&[edges]);
         assert_eq!(fixture.sample(at, 1.0).is_some(), passes, "{at:?}");
     }
-    let never = WireFault { every: 0, ..ALWAYS };
+    let never = Fault { every: 0, ..ALWAYS };
     assert!(trial_with(&[never]).sample(ms(0), 1.0).is_some());
 }
 
 #[test]
 fn counts_both_directions_separately() {
-    let mut fixture = trial_with(&[WireFault { every: 3, ..ALWAYS }]);
+    let mut fixture = trial_with(&[Fault { every: 3, ..ALWAYS }]);
     let answered: Vec<_> = (0..9).filter(|at| fixture.sample(ms(*at), 1.0).is_some()).collect();
     // Lost: samples 2, 5 and 8, and the third and sixth command.
     assert_eq!(answered, [0, 1, 4, 6]);
@@ -161,7 +171,7 @@ fn counts_both_directions_separately() {
 
 #[test]
 fn advances_the_target_when_a_sample_is_lost() {
-    let drop = WireFault { from: ms(1), direction: Direction::ToController, ..ALWAYS };
+    let drop = Fault { from: at(ms(1)), direction: Direction::ToController, ..ALWAYS };
     let mut fixture = trial_with(&[drop]);
     fixture.sample(ms(0), 1.0).unwrap();
     for at in 1..5 {
@@ -174,17 +184,17 @@ fn advances_the_target_when_a_sample_is_lost() {
     assert_eq!(fixture.advance(ms(6)), None, "once only");
 
     // A disconnected line does not deliver the watchdog's report of the stop.
-    let mut dead = trial_with(&[WireFault { from: ms(1), kind: WireFaultKind::Disconnect, ..ALWAYS }]);
+    let mut dead = trial_with(&[Fault { from: at(ms(1)), kind: FaultKind::Disconnect, ..ALWAYS }]);
     dead.sample(ms(0), 1.0).unwrap();
     assert!((1..30).all(|at| dead.sample(ms(at), 1.0).is_none() && dead.advance(ms(at)).is_none()));
 }
 
 #[test]
 fn passes_handshake_configuration_and_safe() {
-    let kinds = [WireFaultKind::Drop, WireFaultKind::Disconnect, WireFaultKind::Truncate, WireFaultKind::Delay(ms(1))];
+    let kinds = [FaultKind::Drop, FaultKind::Disconnect, FaultKind::Truncate, FaultKind::Delay(at(ms(1)))];
     let ways = [Direction::ToController, Direction::FromController];
     for (kind, direction) in kinds.into_iter().flat_map(|kind| ways.map(|way| (kind, way))) {
-        let mut fixture = trial_with(&[WireFault { kind, direction, ..ALWAYS }]);
+        let mut fixture = trial_with(&[Fault { kind, direction, ..ALWAYS }]);
         assert_eq!(fixture.sample(ms(0), 1.0), None);
         assert!(fixture.session.reconfigure(ms(1), &CONFIGURE).is_ok(), "{kind:?}");
         assert_eq!(fixture.sample(ms(1), 1.0), None);
@@ -197,7 +207,7 @@ fn passes_handshake_configuration_and_safe() {
 fn flips_one_bit_by_the_seed() {
     let flipped = |seed| {
         let flip =
-            WireFault { kind: WireFaultKind::Flip, seed, direction: Direction::ToController, every: 2, ..ALWAYS };
+            Fault { kind: FaultKind::Flip, seed: Some(seed), direction: Direction::ToController, every: 2, ..ALWAYS };
         let mut fixture = trial_with(&[flip]);
         let answers = [0, 1, 2].map(|at| fixture.sample(ms(at), 1.0).is_some());
         let delivered = fixture.delivered();
@@ -217,7 +227,7 @@ fn flips_one_bit_by_the_seed() {
 /// a huge Wd.
 #[test]
 fn flips_the_highest_exponent_bit_in_the_scenario() {
-    let flip = WireFault { kind: WireFaultKind::Flip, seed: SCENARIO_SEED, ..ALWAYS };
+    let flip = Fault { kind: FaultKind::Flip, seed: Some(SCENARIO_SEED), ..ALWAYS };
     let mut fixture = trial_with(&[flip]);
     fixture.sample(ms(0), 1.0);
     let (sent, flipped) = (frame(3, 1.0), fixture.delivered()[0].1.clone());
@@ -230,7 +240,7 @@ const SCENARIO_SEED: u64 = 22;
 
 #[test]
 fn controls_once_with_a_duplicated_sample() {
-    let duplicate = WireFault { kind: WireFaultKind::Duplicate, ..ALWAYS };
+    let duplicate = Fault { kind: FaultKind::Duplicate, ..ALWAYS };
     let (mut duplicated, mut single) = (trial_with(&[duplicate]), trial_with(&[]));
     for at in 0..20 {
         let wd = 0.1 * at as f32;
@@ -242,8 +252,8 @@ fn controls_once_with_a_duplicated_sample() {
 
 #[test]
 fn delivers_a_delayed_sample_when_due() {
-    let delay = WireFault { kind: WireFaultKind::Delay(us(1_500)), direction: Direction::ToController, ..ALWAYS };
-    let mut fixture = trial_with(&[WireFault { until: Some(ms(1)), ..delay }]);
+    let delay = Fault { kind: FaultKind::Delay(at(us(1_500))), direction: Direction::ToController, ..ALWAYS };
+    let mut fixture = trial_with(&[Fault { until: Some(at(ms(1))), ..delay }]);
     assert_eq!(fixture.sample(ms(0), 0.5), None);
     assert_eq!(
         (fixture.session.link().next_due(), fixture.session.link().delivered_sample()),
@@ -262,7 +272,7 @@ fn delivers_a_delayed_sample_when_due() {
 
 #[test]
 fn delivers_a_delayed_command_when_due() {
-    let delay = WireFault { kind: WireFaultKind::Delay(us(500)), direction: Direction::FromController, ..ALWAYS };
+    let delay = Fault { kind: FaultKind::Delay(at(us(500))), direction: Direction::FromController, ..ALWAYS };
     let (mut late, mut prompt) = (trial_with(&[delay]), trial_with(&[]));
     for at in 0..5 {
         let expected = prompt.sample(ms(at), 1.0);
@@ -276,8 +286,8 @@ fn delivers_a_delayed_command_when_due() {
 
 #[test]
 fn ignores_a_command_that_is_later_than_the_next() {
-    let delay = WireFault { kind: WireFaultKind::Delay(us(1_500)), direction: Direction::FromController, ..ALWAYS };
-    let (mut late, mut prompt) = (trial_with(&[WireFault { until: Some(ms(2)), ..delay }]), trial_with(&[]));
+    let delay = Fault { kind: FaultKind::Delay(at(us(1_500))), direction: Direction::FromController, ..ALWAYS };
+    let (mut late, mut prompt) = (trial_with(&[Fault { until: Some(at(ms(2))), ..delay }]), trial_with(&[]));
     let expected: Vec<_> = (0..4).map(|at| prompt.sample(ms(at), 1.0)).collect();
     assert_eq!((late.sample(ms(0), 1.0), late.sample(ms(1), 1.0)), (None, None));
     // The first command arrives alone. The next two arrive together, and the newer one counts.
@@ -290,9 +300,9 @@ fn ignores_a_command_that_is_later_than_the_next() {
 
 #[test]
 fn loses_a_truncated_message_and_the_next() {
-    let truncate = WireFault { kind: WireFaultKind::Truncate, until: Some(ms(1)), ..ALWAYS };
+    let truncate = Fault { kind: FaultKind::Truncate, until: Some(at(ms(1))), ..ALWAYS };
     for direction in [Direction::ToController, Direction::FromController] {
-        let mut fixture = trial_with(&[WireFault { direction, ..truncate }]);
+        let mut fixture = trial_with(&[Fault { direction, ..truncate }]);
         assert_eq!([0, 1, 2].map(|at| fixture.sample(ms(at), 1.0).is_some()), [false, false, true], "{direction:?}");
         if direction == Direction::ToController {
             assert_eq!(fixture.delivered()[0].1, frame(3, 1.0)[..12]);
@@ -302,13 +312,13 @@ fn loses_a_truncated_message_and_the_next() {
 
 #[test]
 fn precedes_a_message_with_four_invalid_frames() {
-    let babble = WireFault { kind: WireFaultKind::Babble, ..ALWAYS };
-    let mut fixture = trial_with(&[WireFault { direction: Direction::ToController, ..babble }]);
+    let babble = Fault { kind: FaultKind::Babble, ..ALWAYS };
+    let mut fixture = trial_with(&[Fault { direction: Direction::ToController, ..babble }]);
     assert_eq!(fixture.sample(ms(0), 1.0).unwrap().state, ControllerState::Running);
     let bytes = fixture.delivered()[0].1.clone();
     assert_eq!((&bytes[64..], bytes.len()), (&frame(3, 1.0)[..], 88));
     for seed in 0..20 {
-        let mut seeded = trial_with(&[WireFault { seed, direction: Direction::ToController, ..babble }]);
+        let mut seeded = trial_with(&[Fault { seed: Some(seed), direction: Direction::ToController, ..babble }]);
         seeded.sample(ms(0), 1.0);
         let noise = &seeded.delivered()[0].1[..64];
         assert_eq!((0..64).filter(|at| noise[*at] == 0).collect::<Vec<_>>(), [15, 31, 47, 63]);
@@ -319,13 +329,13 @@ fn precedes_a_message_with_four_invalid_frames() {
     let stopped = fixture.sample(ms(2), 1.0).unwrap();
     assert_eq!((stopped.state, stopped.cause), (ControllerState::Fault, StateCause::LineNoise));
 
-    let mut reverse = trial_with(&[WireFault { direction: Direction::FromController, ..babble }]);
+    let mut reverse = trial_with(&[Fault { direction: Direction::FromController, ..babble }]);
     assert!((0..20).all(|at| reverse.sample(ms(at), 1.0).unwrap().state == ControllerState::Running));
 }
 
 #[test]
 fn freezes_the_sample_before_the_window() {
-    let freeze = WireFault { kind: WireFaultKind::Freeze, from: ms(2), until: Some(ms(5)), ..ALWAYS };
+    let freeze = Fault { kind: FaultKind::Freeze, from: at(ms(2)), until: Some(at(ms(5))), ..ALWAYS };
     let seen = |fault| {
         let mut fixture = trial_with(&[fault]);
         for at in 0..6 {
@@ -336,14 +346,14 @@ fn freezes_the_sample_before_the_window() {
         seen
     };
     assert_eq!(seen(freeze), [0.0, 1.0, 1.0, 1.0, 1.0, 5.0]);
-    assert_eq!(seen(WireFault { every: 2, ..freeze }), [0.0, 1.0, 2.0, 1.0, 4.0, 5.0]);
-    assert_eq!(seen(WireFault { from: ms(0), until: Some(ms(2)), ..freeze }), [0.0, 0.0, 2.0, 3.0, 4.0, 5.0]);
+    assert_eq!(seen(Fault { every: 2, ..freeze }), [0.0, 1.0, 2.0, 1.0, 4.0, 5.0]);
+    assert_eq!(seen(Fault { from: at(ms(0)), until: Some(at(ms(2))), ..freeze }), [0.0, 0.0, 2.0, 3.0, 4.0, 5.0]);
 }
 
 #[test]
 fn scales_both_components_before_the_line() {
-    let scale = WireFault { kind: WireFaultKind::Scale(-0.5), ..ALWAYS };
-    let flip = WireFault { kind: WireFaultKind::Flip, direction: Direction::ToController, from: ms(1), ..ALWAYS };
+    let scale = Fault { kind: FaultKind::Scale(-0.5), ..ALWAYS };
+    let flip = Fault { kind: FaultKind::Flip, direction: Direction::ToController, from: at(ms(1)), ..ALWAYS };
     // A sample passes the sensor before the line, whatever the order of the list.
     let mut fixture = trial_with(&[flip, scale]);
     fixture.sample(ms(0), 2.0);
@@ -357,10 +367,10 @@ fn scales_both_components_before_the_line() {
 
 #[test]
 fn clears_everything_for_new_faults() {
-    let delay = WireFault { kind: WireFaultKind::Delay(ms(9)), ..ALWAYS };
+    let delay = Fault { kind: FaultKind::Delay(at(ms(9))), ..ALWAYS };
     let mut fixture = trial_with(&[delay]);
     fixture.sample(ms(0), 1.0);
-    fixture.session.link_mut().set_faults(&[WireFault { every: 2, ..ALWAYS }]);
+    fixture.session.link_mut().set_faults(&[Fault { every: 2, ..ALWAYS }], SEED);
     assert_eq!((fixture.counts(), fixture.session.link().next_due()), (Vec::new(), None));
     fixture.session.start_trial(&CONFIGURE).unwrap();
     assert!(fixture.sample(ms(0), 1.0).is_some());
@@ -368,7 +378,7 @@ fn clears_everything_for_new_faults() {
 
 #[test]
 fn loses_messages_beyond_the_capacity() {
-    let delay = WireFault { kind: WireFaultKind::Delay(ms(10_000)), direction: Direction::ToController, ..ALWAYS };
+    let delay = Fault { kind: FaultKind::Delay(at(ms(10_000))), direction: Direction::ToController, ..ALWAYS };
     let mut fixture = trial_with(&[delay]);
     for at in 0..MAX_QUEUED as u64 + 2 {
         assert_eq!(fixture.sample(ms(at), 1.0), None);
@@ -378,7 +388,7 @@ fn loses_messages_beyond_the_capacity() {
     assert_eq!(fixture.delivered().len(), MAX_QUEUED);
 }
 
-fn real_time_trial_with(faults: &[WireFault]) -> Fixture {
+fn real_time_trial_with(faults: &[Fault]) -> Fixture {
     let mut fixture = trial_with(faults);
     let start = fixture.session.line_time();
     fixture.session.link_mut().start_real_time(start, 10.0);
@@ -387,8 +397,8 @@ fn real_time_trial_with(faults: &[WireFault]) -> Fixture {
 
 #[test]
 fn delivers_when_due_in_real_time() {
-    let from = WireFault { kind: WireFaultKind::Delay(ms(200)), direction: Direction::FromController, ..ALWAYS };
-    for delay in [from, WireFault { direction: Direction::ToController, ..from }] {
+    let from = Fault { kind: FaultKind::Delay(at(ms(200))), direction: Direction::FromController, ..ALWAYS };
+    for delay in [from, Fault { direction: Direction::ToController, ..from }] {
         let mut fixture = real_time_trial_with(&[delay]);
         let line = fixture.session.link_mut().real_time_line().unwrap();
         let sent = line.now();
@@ -405,7 +415,7 @@ fn delivers_when_due_in_real_time() {
 
 #[test]
 fn waits_no_longer_than_the_deadline_in_real_time() {
-    let mut fixture = real_time_trial_with(&[WireFault { direction: Direction::FromController, ..ALWAYS }]);
+    let mut fixture = real_time_trial_with(&[Fault { direction: Direction::FromController, ..ALWAYS }]);
     let line = fixture.session.link_mut().real_time_line().unwrap();
     line.send(&frame(3, 1.0)).unwrap();
     let mut bytes = Vec::new();

@@ -1,7 +1,7 @@
 use super::*;
 use crate::live_tap::LiveTap;
 use crate::plant_simulation::collect_rows;
-use crate::trial::{TrialResult, configure, wire_faults};
+use crate::trial::{TrialResult, configure, set_line_faults};
 use allocation_counter::{AllocationInfo, measure, opt_out};
 use platebench_model::scenario::load;
 use platebench_rig::{HostedLink, LinkError, PtyLink, RealTimeLine, SerialLink, WallClockLink};
@@ -100,7 +100,7 @@ fn count_allocations<L: Link>(
     let (queue, consumer) = RowQueue::new();
     let collector = thread::spawn(|| collect_rows(consumer, 0));
     let plant = PlantSimulation::new(scenario, 0, queue, guard.tap());
-    session.link_mut().set_faults(&wire_faults(scenario, 0));
+    set_line_faults(session.link_mut(), scenario, 0);
     let configuration = time_base.with_target_timing(configure(scenario, law));
     session.start_line().unwrap();
     let gains = session.start_trial(&configuration).unwrap();
