@@ -92,9 +92,9 @@ impl Failure {
 }
 
 impl From<Vec<Diagnostic>> for Failure {
-    fn from(faults: Vec<Diagnostic>) -> Self {
+    fn from(problems: Vec<Diagnostic>) -> Self {
         let is_terminal = stderr().is_terminal();
-        let reports: Vec<String> = faults.iter().map(|fault| fault.render(is_terminal)).collect();
+        let reports: Vec<String> = problems.iter().map(|problem| problem.render(is_terminal)).collect();
         Self { exit: Self::INVALID, report: reports.join("\n\n") }
     }
 }
@@ -102,8 +102,10 @@ impl From<Vec<Diagnostic>> for Failure {
 impl From<ChartError> for Failure {
     fn from(error: ChartError) -> Self {
         let exit = match error {
-            ChartError::Scenario(fault) | ChartError::Run(RunError::Scenario(fault)) => return vec![*fault].into(),
-            ChartError::Run(RunError::Connect(ref fault)) if fault.is_invalid_input() => Self::INVALID,
+            ChartError::Scenario(problem) | ChartError::Run(RunError::Scenario(problem)) => {
+                return vec![*problem].into();
+            }
+            ChartError::Run(RunError::Connect(ref problem)) if problem.is_invalid_input() => Self::INVALID,
             ChartError::Lost { .. } | ChartError::Run(RunError::Connect(_) | RunError::Rig(_)) => Self::UNREACHABLE,
             _ => Self::INVALID,
         };

@@ -190,8 +190,8 @@ fn session_config(arguments: &SessionArgs) -> Result<SessionConfig, Failure> {
     let (time_scale, pacing) = (arguments.time_scale, arguments.pacing);
     let request = ClockRequest { time_scale, pacing, ..ClockRequest::new(&rig, arguments.clock) };
     let clock = request.resolve().or_invalid()?;
-    let plan = AcceptancePlan::load(&arguments.plan).map_err(|faults| {
-        let exit = Failure::from(faults).report();
+    let plan = AcceptancePlan::load(&arguments.plan).map_err(|problems| {
+        let exit = Failure::from(problems).report();
         if !arguments.plan.exists() {
             stdio::note(NO_PLAN);
         }
@@ -272,7 +272,7 @@ fn print_session(record: &SessionRecord) {
 impl From<AcceptError> for Failure {
     fn from(error: AcceptError) -> Self {
         match error {
-            AcceptError::Plan(faults) => faults.into(),
+            AcceptError::Plan(problems) => problems.into(),
             AcceptError::Run(error) => error.into(),
             AcceptError::Trust(_)
             | AcceptError::AnsweredNo(_)

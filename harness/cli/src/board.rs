@@ -161,7 +161,7 @@ impl From<BoardError> for Failure {
             _ => Exit::Unreachable,
         };
         match error {
-            BoardError::Inventory(faults) => faults.into(),
+            BoardError::Inventory(problems) => problems.into(),
             error => Self::new(exit, &error),
         }
     }

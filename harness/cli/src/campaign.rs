@@ -533,7 +533,7 @@ fn show_status(folder: &Path) -> CommandResult {
 impl From<CampaignError> for Failure {
     fn from(error: CampaignError) -> Self {
         match error {
-            CampaignError::Files(faults) => faults.into(),
+            CampaignError::Files(problems) => problems.into(),
             CampaignError::Connect(error) => error.into(),
             CampaignError::Rig(error) => error.into(),
             CampaignError::Run(error) => error.into(),

@@ -30,14 +30,14 @@ Examples:
   platebench check scenarios/paper my.toml
   platebench check platebench.toml
   platebench check --tag paper              scenarios with this tag only
-  platebench check --format json            faults and warnings for programs
+  platebench check --format json            problems and warnings for programs
 
-Exit codes: 0 no fault, 2 at least one fault, 4 there was nothing to check")]
+Exit codes: 0 no problem, 2 at least one problem, 4 there was nothing to check")]
 pub(crate) struct CheckArgs {
     /// Scenario, plate, plan and settings files, or folders with everything below them
     #[arg(value_name = "FILE|FOLDER", default_value = SCENARIOS)]
     scenarios: Vec<PathBuf>,
-    /// Format of standard output; json: every fault and warning, with file, line and column
+    /// Format of standard output; json: every problem and warning, with file, line and column
     #[arg(long, value_enum, default_value_t = OutputFormat::Human)]
     format: OutputFormat,
     #[command(flatten)]
@@ -47,23 +47,24 @@ pub(crate) struct CheckArgs {
 #[derive(Serialize)]
 struct CheckResult<'a> {
     files: usize,
-    faults: Vec<FaultLocation<'a>>,
-    warnings: Vec<FaultLocation<'a>>,
+    #[serde(rename = "faults")]
+    problems: Vec<ProblemLocation<'a>>,
+    warnings: Vec<ProblemLocation<'a>>,
 }
 
 /// `line` and `column` count from 1. `None` if the file could not be read.
 #[derive(Serialize)]
-struct FaultLocation<'a> {
+struct ProblemLocation<'a> {
     file: &'a Path,
     line: Option<usize>,
     column: Option<usize>,
     message: &'a str,
 }
 
-impl<'a> From<&'a Diagnostic> for FaultLocation<'a> {
-    fn from(fault: &'a Diagnostic) -> Self {
-        let (line, column) = fault.location().unzip();
-        Self { file: &fault.path, line, column, message: &fault.message }
+impl<'a> From<&'a Diagnostic> for ProblemLocation<'a> {
+    fn from(problem: &'a Diagnostic) -> Self {
+        let (line, column) = problem.location().unzip();
+        Self { file: &problem.path, line, column, message: &problem.message }
     }
 }
 
@@ -71,7 +72,7 @@ fn diagnostics(kind: FileKind, path: &Path, name: &str, definition: &Command) ->
     match kind {
         FileKind::Scenario => match load_with_all_errors(path, name) {
             Ok(scenario) => law(&scenario).err().into_iter().collect(),
-            Err(faults) => faults,
+            Err(problems) => problems,
         },
         FileKind::Plate => load::load_plate(path).err().unwrap_or_default(),
         FileKind::Plan => AcceptancePlan::load(path).err().unwrap_or_default(),
@@ -108,7 +109,7 @@ fn is_selected(tags: &ScenarioFilter, path: &Path, name: &str) -> bool {
 
 /// `definition` is the command line. It checks the values of settings.
 pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResult {
-    let (mut files, mut faults) = list_files(&arguments.scenarios);
+    let (mut files, mut problems) = list_files(&arguments.scenarios);
     if !arguments.tags.is_empty() {
         files.retain(|(path, name)| is_selected(&arguments.tags, path, name));
     }
@@ -116,19 +117,19 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     for ((path, name), kind) in files.iter().zip(&kinds) {
         let found = match kind {
             Ok(kind) => diagnostics(*kind, path, name, definition),
-            Err(faults) => faults.clone(),
+            Err(problems) => problems.clone(),
         };
-        for fault in found {
-            // A faulty plate reports its fault once for each scenario that uses it.
-            if !faults.contains(&fault) {
-                faults.push(fault);
+        for problem in found {
+            // A faulty plate reports its problem once for each scenario that uses it.
+            if !problems.contains(&problem) {
+                problems.push(problem);
             }
         }
     }
     let of_kind = |wanted| files.iter().zip(&kinds).filter(move |(_, kind)| **kind == Ok(wanted)).map(|(file, _)| file);
-    faults.extend(repeated_names(of_kind(FileKind::Scenario)));
+    problems.extend(repeated_names(of_kind(FileKind::Scenario)));
     let mut warnings = Vec::new();
-    if faults.is_empty() {
+    if problems.is_empty() {
         let scenarios = of_kind(FileKind::Scenario).filter_map(|(path, name)| load(path, name).ok());
         warnings.extend(scenario_warnings(&scenarios.collect::<Vec<_>>()));
         for (path, _) in of_kind(FileKind::Plate) {
@@ -137,13 +138,13 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
         }
     }
     if arguments.format == OutputFormat::Json {
-        let faults = faults.iter().map(FaultLocation::from).collect();
-        let warnings = warnings.iter().map(FaultLocation::from).collect();
-        stdio::show_json(&CheckResult { files: files.len(), faults, warnings });
+        let problems = problems.iter().map(ProblemLocation::from).collect();
+        let warnings = warnings.iter().map(ProblemLocation::from).collect();
+        stdio::show_json(&CheckResult { files: files.len(), problems, warnings });
     }
-    faults.iter().for_each(stdio::diagnostic);
-    if !faults.is_empty() {
-        stdio::note(&format!("{} in {}", count(faults.len(), "fault"), count(files.len(), "file")));
+    problems.iter().for_each(stdio::diagnostic);
+    if !problems.is_empty() {
+        stdio::note(&format!("{} in {}", count(problems.len(), "problem"), count(files.len(), "file")));
         return Ok(Exit::Invalid);
     }
     if files.is_empty() {
@@ -162,7 +163,7 @@ pub(crate) fn check(arguments: &CheckArgs, definition: &Command) -> CommandResul
     }
     let counts: Vec<_> = counts.into_iter().map(|(kind, files)| count(files, kind.name())).collect();
     if arguments.format == OutputFormat::Human {
-        stdio::show(&format!("no faults in {}\n", counts.join(", ")));
+        stdio::show(&format!("no problems in {}\n", counts.join(", ")));
     }
     Ok(Exit::Passed)
 }

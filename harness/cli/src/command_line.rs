@@ -110,7 +110,7 @@ pub(crate) enum Command {
     Generate(generate::GenerateArgs),
 }
 
-/// Parses the command line. Wrong usage and help end the process. Fails with the faults of
+/// Parses the command line. Wrong usage and help end the process. Fails with the problems of
 /// `platebench.toml`.
 fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let words: Vec<_> = std::env::args_os().collect();
@@ -122,9 +122,9 @@ fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
         (None, Ok(folder)) => Config::find_above(&folder, &definition),
         (None, Err(_)) => Ok(Config::default()),
     };
-    let (config, faults) = match found {
+    let (config, problems) = match found {
         Ok(config) => (config, Vec::new()),
-        Err(faults) => (Config::default(), faults),
+        Err(problems) => (Config::default(), problems),
     };
     // Faults of `platebench.toml` follow later, so that they do not hide help or wrong usage.
     let matches = config::with_settings(definition, &config).try_get_matches_from(words).unwrap_or_else(|error| {
@@ -142,7 +142,7 @@ fn parse() -> Result<(Arguments, Config), Vec<Diagnostic>> {
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     stdio::set_color(arguments.logging.color);
     let needs_config = !matches!(arguments.command, Command::Generate(_));
-    if needs_config && !faults.is_empty() { Err(faults) } else { Ok((arguments, config)) }
+    if needs_config && !problems.is_empty() { Err(problems) } else { Ok((arguments, config)) }
 }
 
 /// Returns the Cargo feature of the unknown command or option, if this build lacks the feature.

@@ -121,28 +121,28 @@ pub(crate) struct Config {
 
 impl Config {
     pub(crate) fn find_above(folder: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
-        let found = find_trusted_file_above(folder, FILE, "--config").map_err(|fault| vec![fault])?;
+        let found = find_trusted_file_above(folder, FILE, "--config").map_err(|problem| vec![problem])?;
         found.map_or_else(|| Ok(Self::default()), |path| Self::read(&path, definition))
     }
 
-    /// Reads the file. The command line `definition` checks the values. Fails with all faults.
+    /// Reads the file. The command line `definition` checks the values. Fails with all problems.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
         let (text, _) = parse_file::<RawConfig>(path)?;
         let document: toml::Table = text.parse().unwrap_or_default();
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut faults = Vec::new();
+        let mut problems = Vec::new();
         let mut values = Vec::new();
         for setting in &SETTINGS {
             let Some(written) = value_at(&document, setting.key) else { continue };
             for given in &written {
                 if let Err(message) = setting.check(given, definition) {
-                    faults.push(Diagnostic::at_key(path, &text, setting.key, message));
+                    problems.push(Diagnostic::at_key(path, &text, setting.key, message));
                 }
             }
             let placed = |text: String| if setting.is_path { folder.join(text).display().to_string() } else { text };
             values.push((setting.key, written.into_iter().map(placed).collect()));
         }
-        if faults.is_empty() { Ok(Self { path: Some(path.to_owned()), values }) } else { Err(faults) }
+        if problems.is_empty() { Ok(Self { path: Some(path.to_owned()), values }) } else { Err(problems) }
     }
 
     fn value(&self, key: &str) -> Option<&[String]> {

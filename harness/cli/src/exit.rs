@@ -151,7 +151,7 @@ enum Report {
     /// The report is already on standard error.
     Done,
     Message(String),
-    Faults(Vec<Diagnostic>),
+    Problems(Vec<Diagnostic>),
 }
 
 impl Failure {
@@ -171,7 +171,7 @@ impl Failure {
         match self.report {
             Report::Done => {}
             Report::Message(message) => self.exit.show_reason(&message),
-            Report::Faults(faults) => faults.iter().for_each(stdio::diagnostic),
+            Report::Problems(problems) => problems.iter().for_each(stdio::diagnostic),
         }
         self.exit
     }
@@ -184,20 +184,20 @@ impl From<Exit> for Failure {
 }
 
 impl From<Vec<Diagnostic>> for Failure {
-    fn from(faults: Vec<Diagnostic>) -> Self {
-        Self { exit: Exit::Invalid, report: Report::Faults(faults) }
+    fn from(problems: Vec<Diagnostic>) -> Self {
+        Self { exit: Exit::Invalid, report: Report::Problems(problems) }
     }
 }
 
 impl From<Diagnostic> for Failure {
-    fn from(fault: Diagnostic) -> Self {
-        vec![fault].into()
+    fn from(problem: Diagnostic) -> Self {
+        vec![problem].into()
     }
 }
 
 impl From<Box<Diagnostic>> for Failure {
-    fn from(fault: Box<Diagnostic>) -> Self {
-        (*fault).into()
+    fn from(problem: Box<Diagnostic>) -> Self {
+        (*problem).into()
     }
 }
 
@@ -218,7 +218,7 @@ impl From<RigError> for Failure {
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Self {
         match error {
-            RunError::Scenario(fault) => fault.into(),
+            RunError::Scenario(problem) => problem.into(),
             RunError::Connect(error) => error.into(),
             RunError::Rig(error) => error.into(),
             RunError::DifferentController { .. } | RunError::DifferentProgram { .. } | RunError::Lost(_) => {
@@ -238,7 +238,7 @@ impl From<RunError> for Failure {
 impl From<RejudgeError> for Failure {
     fn from(error: RejudgeError) -> Self {
         match error {
-            RejudgeError::Scenario(fault) => fault.into(),
+            RejudgeError::Scenario(problem) => problem.into(),
             error => Self::invalid(&error),
         }
     }

@@ -75,7 +75,7 @@ fn exit_of(result: &ReplayResult) -> Exit {
 impl From<ReplayError> for Failure {
     fn from(error: ReplayError) -> Self {
         match error {
-            ReplayError::Scenario(fault) => fault.into(),
+            ReplayError::Scenario(problem) => problem.into(),
             ReplayError::Run(error) => error.into(),
             ReplayError::Stored(error) => error.into(),
             ReplayError::NotApplicable(_) => Self::new(Exit::NothingToRun, &error),

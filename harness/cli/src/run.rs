@@ -50,8 +50,8 @@ pub(crate) fn run(arguments: &RunArgs, detail: Detail) -> CommandResult {
 
 /// Fails if no scenario is selected.
 fn scenarios_to_run(arguments: &RunArgs, detail: Detail) -> Result<Selection, Failure> {
-    let mut found = find(&arguments.scenarios).map_err(|faults| {
-        let exit = Failure::from(faults).report();
+    let mut found = find(&arguments.scenarios).map_err(|problems| {
+        let exit = Failure::from(problems).report();
         if arguments.scenarios == [Path::new(SCENARIOS)] && !Path::new(SCENARIOS).exists() {
             stdio::note("the default folder is `scenarios`; `platebench new scenarios/first-step` writes a first scenario there");
         }
@@ -97,17 +97,18 @@ fn watch(arguments: &RunArgs, clock: Clock, detail: Detail) -> CommandResult {
             if played.is_empty() {
                 note_skipped(&found, detail);
             }
-            let scenarios = play::select_scenarios(found.scenarios, arguments).map_err(|fault| vec![*fault])?.scenarios;
-            Ok((scenarios, read_firmware(arguments).map_err(|fault| vec![fault])?))
+            let scenarios =
+                play::select_scenarios(found.scenarios, arguments).map_err(|problem| vec![*problem])?.scenarios;
+            Ok((scenarios, read_firmware(arguments).map_err(|problem| vec![problem])?))
         });
         let retry = found.is_err();
         match found {
-            Err(faults) => {
-                if faults != reported {
-                    faults.iter().for_each(stdio::diagnostic);
+            Err(problems) => {
+                if problems != reported {
+                    problems.iter().for_each(stdio::diagnostic);
                     stdio::note("waiting for a correction; Ctrl-C ends");
                 }
-                reported = faults;
+                reported = problems;
             }
             Ok((scenarios, firmware)) => {
                 reported = Vec::new();

@@ -233,7 +233,7 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
         if let Some(scenario) = &arguments.write {
             match write_gains(scenario, &target, gains) {
                 Ok(message) => stdio::note(&message),
-                Err(fault) => exit = Failure::from(fault).report(),
+                Err(problem) => exit = Failure::from(problem).report(),
             }
         }
         if let (Some(rig), Exit::Passed) = (send, exit) {
@@ -282,17 +282,17 @@ pub(crate) fn tune(arguments: &TuneArgs) -> CommandResult {
 
 /// Gains for a plate that cannot exist fail on the real plate, so `force` must ask for them.
 fn refuse_implausible(path: &Path, plate: &Plate, force: bool) -> Result<(), Failure> {
-    let mut faults = implausible_values(path, plate)?;
+    let mut problems = implausible_values(path, plate)?;
     if force {
-        for fault in &faults {
-            stdio::note(&format!("warning: {fault}"));
+        for problem in &problems {
+            stdio::note(&format!("warning: {problem}"));
         }
         return Ok(());
     }
-    for fault in &mut faults {
-        fault.message += "; --force designs for it nevertheless";
+    for problem in &mut problems {
+        problem.message += "; --force designs for it nevertheless";
     }
-    if faults.is_empty() { Ok(()) } else { Err(faults.into()) }
+    if problems.is_empty() { Ok(()) } else { Err(problems.into()) }
 }
 
 #[derive(Serialize, JsonSchema)]
@@ -417,8 +417,8 @@ fn write_gains(path: &Path, target: &TuningTarget<'_>, gains: Gains) -> Result<S
     edited_file.write_all(document.to_string().as_bytes()).map_err(cannot_write)?;
     let permissions = fs::metadata(&file).map_err(cannot_write)?.permissions();
     edited_file.file().set_permissions(permissions).map_err(cannot_write)?;
-    let edited = load(&edited_file.temporary_path(), &name).map_err(|fault| {
-        refuse(format!("the edited file is not a valid scenario, so nothing was written: {}", fault.message))
+    let edited = load(&edited_file.temporary_path(), &name).map_err(|problem| {
+        refuse(format!("the edited file is not a valid scenario, so nothing was written: {}", problem.message))
     })?;
     if !has_gains(&edited) {
         return Err(refuse("the edited file does not have the gains, so nothing was written".to_owned()));

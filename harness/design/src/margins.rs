@@ -131,9 +131,9 @@ fn applicable_cases<'a>(
 ) -> Result<(Vec<&'a Scenario>, Vec<String>), MarginError> {
     let (mut cases, mut skipped) = (Vec::new(), Vec::new());
     for case in config.cases {
-        let law = law(case).map_err(|fault| MarginError::Files(vec![fault]))?;
+        let law = law(case).map_err(|problem| MarginError::Files(vec![problem]))?;
         match why_not_applicable(case, law, true, executor.session()?) {
-            Err(fault) => return Err(MarginError::Files(vec![*fault])),
+            Err(problem) => return Err(MarginError::Files(vec![*problem])),
             Ok(None) => cases.push(case),
             Ok(Some(reason)) if skipped.contains(&reason) => {}
             Ok(Some(reason)) => skipped.push(reason),
@@ -260,7 +260,7 @@ fn ends(tests: &[Test]) -> (Option<f64>, Option<f64>) {
 }
 
 fn play(executor: &mut Executor<'_>, scene: &Scenario) -> Result<(TrialResult, TrialMeasures), MarginError> {
-    let law = law(scene).map_err(|fault| MarginError::Files(vec![fault]))?;
+    let law = law(scene).map_err(|problem| MarginError::Files(vec![problem]))?;
     let played = executor.play(scene, law, 0, None)?.ok_or(MarginError::Cancelled)?;
     let measures = measure(scene, 0, &played.trace_rows, &played.telemetry);
     match &measures.exclusion {

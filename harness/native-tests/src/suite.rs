@@ -116,9 +116,9 @@ impl SuiteError {
     }
 }
 
-fn render_all(faults: &[Diagnostic]) -> String {
-    faults.iter().fold(String::new(), |mut text, fault| {
-        let _ = writeln!(text, "{}\n", fault.render(false));
+fn render_all(problems: &[Diagnostic]) -> String {
+    problems.iter().fold(String::new(), |mut text, problem| {
+        let _ = writeln!(text, "{}\n", problem.render(false));
         text
     })
 }

@@ -9,7 +9,7 @@ mod faults;
 use crate::compared_link::ComparedLink;
 use crate::link::{Chip, ChipFaultError, ChipFaultPlan, Link, LinkError, LinkKind, RealTimeLine};
 use faults::{ActiveFaults, FrameSplitter, QueuedPacket, decode_first_packet, is_sample};
-use platebench_model::scenario::Fault;
+use platebench_model::scenario::{Direction, Fault};
 use platebench_wire::{ControllerState, Message, Packet};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

@@ -152,43 +152,43 @@ impl Campaign {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawCampaign>(path)?;
         let checker = Checker { path, text: &text, spans: spans_of_variables(&text) };
-        let mut faults = checker.plain_faults(&raw);
+        let mut problems = checker.plain_problems(&raw);
         let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
         let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let template = if is_scenario_path(&scenario_path) {
-            load_template(&scenario_path, &name, prepare).map_err(|found| faults.extend(found)).ok()
+            load_template(&scenario_path, &name, prepare).map_err(|found| problems.extend(found)).ok()
         } else {
             let message = format!("{}: no such file, expected a scenario file", scenario_path.display());
-            faults.push(checker.fault("scenario", message));
+            problems.push(checker.problem("scenario", message));
             None
         };
-        let mut variables = checker.variables(raw.vary, &mut faults);
+        let mut variables = checker.variables(raw.vary, &mut problems);
         if let Some(template) = &template {
-            faults.extend(checker.scenario_fault(&template.scenario));
+            problems.extend(checker.scenario_problem(&template.scenario));
             for variable in &variables {
-                faults.extend(checker.value_fault(template, variable));
+                problems.extend(checker.value_problem(template, variable));
             }
         }
         if raw.plan.method == Method::Rare {
-            faults.extend(checker.rare_fault(&variables));
+            problems.extend(checker.rare_problem(&variables));
         }
         let keys: Vec<_> =
             variables.iter().map(|variable| (&*variable.key, variable.distribution.is_normal())).collect();
-        let correlation =
-            Correlation::new(&raw.correlate, &keys).map_err(|message| faults.push(checker.fault("correlate", message)));
-        let confirm = checker.confirming_rig(&raw.plan).map_err(|fault| faults.push(fault));
-        let counts = checker.counts(&raw.plan, &variables).map_err(|fault| faults.push(fault));
+        let correlation = Correlation::new(&raw.correlate, &keys)
+            .map_err(|message| problems.push(checker.problem("correlate", message)));
+        let confirm = checker.confirming_rig(&raw.plan).map_err(|problem| problems.push(problem));
+        let counts = checker.counts(&raw.plan, &variables).map_err(|problem| problems.push(problem));
         let (Some(template), Ok([trials, cells]), Ok(correlation), Ok(confirm), true) =
-            (template, counts, correlation, confirm, faults.is_empty())
+            (template, counts, correlation, confirm, problems.is_empty())
         else {
-            return Err(faults);
+            return Err(problems);
         };
         let is_judged = raw.judge.is_some()
             || template.scenario.expectations.iter().any(|expectation| expectation.requirement.is_some());
         let judge = raw.judge.unwrap_or_default();
         let truncated = checker
             .truncate(raw.plan.method, &mut variables, &template, &raw.correlate)
-            .map_err(|fault| vec![fault])?;
+            .map_err(|problem| vec![problem])?;
         Ok(Self {
             path: path.to_owned(),
             title: raw.title,
@@ -238,9 +238,10 @@ fn spans_of_variables(text: &str) -> BTreeMap<String, Range<usize>> {
 
 /// Why a trial with these values cannot be played. `None` if it can.
 fn refusal<'a>(template: &ScenarioTemplate, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Option<String> {
-    let first = |faults: Vec<Diagnostic>| faults.into_iter().next().map_or_else(String::new, |fault| fault.message);
+    let first =
+        |problems: Vec<Diagnostic>| problems.into_iter().next().map_or_else(String::new, |problem| problem.message);
     let scenario = template.tables(changes).and_then(|tables| template.check(&tables).map_err(first));
-    scenario.and_then(|scenario| platebench_engine::law(&scenario).map_err(|fault| fault.message)).err()
+    scenario.and_then(|scenario| platebench_engine::law(&scenario).map_err(|problem| problem.message)).err()
 }
 
 /// Removes the keys that concern several trials, because a campaign judges each trial alone.
@@ -261,11 +262,11 @@ fn prepare(scenario: &mut Table) {
 }
 
 impl Checker<'_> {
-    fn fault(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+    fn problem(&self, key: &str, message: impl Into<String>) -> Diagnostic {
         Diagnostic::at_key(self.path, self.text, key, message)
     }
 
-    fn vary_fault(&self, key: &str, message: impl Into<String>) -> Diagnostic {
+    fn vary_problem(&self, key: &str, message: impl Into<String>) -> Diagnostic {
         Diagnostic::at_span(self.path, self.text, self.span_of_variable(key), format!("`{key}`: {}", message.into()))
     }
 
@@ -273,21 +274,21 @@ impl Checker<'_> {
         self.spans.get(key).cloned().unwrap_or_default()
     }
 
-    fn plain_faults(&self, raw: &RawCampaign) -> Vec<Diagnostic> {
-        let mut faults = Vec::new();
+    fn plain_problems(&self, raw: &RawCampaign) -> Vec<Diagnostic> {
+        let mut problems = Vec::new();
         if raw.title.trim().is_empty() || raw.title.contains(char::is_control) {
-            faults.push(self.fault("title", format!("{:?}, expected one line of text", raw.title)));
+            problems.push(self.problem("title", format!("{:?}, expected one line of text", raw.title)));
         }
-        faults
+        problems
     }
 
-    fn variables(&self, raw: BTreeMap<String, RawDistribution>, faults: &mut Vec<Diagnostic>) -> Vec<Variable> {
+    fn variables(&self, raw: BTreeMap<String, RawDistribution>, problems: &mut Vec<Diagnostic>) -> Vec<Variable> {
         if raw.is_empty() {
-            faults.push(self.fault("vary", "no varied value, expected at least one"));
+            problems.push(self.problem("vary", "no varied value, expected at least one"));
         }
         if raw.len() > MAX_VARIED {
             let message = format!("{} varied values, expected at most {MAX_VARIED}", raw.len());
-            faults.push(self.fault("vary", message));
+            problems.push(self.problem("vary", message));
             return Vec::new();
         }
         let mut raw: Vec<_> = raw.into_iter().collect();
@@ -298,12 +299,12 @@ impl Checker<'_> {
             if FIXED_KEYS.contains(&first) && !key.starts_with(PLATE_PREFIX) {
                 let message = "cannot be varied; expected a key of the scenario's scene, controller or limits, \
                                or a key of the plate file after `plate.`";
-                faults.push(self.vary_fault(&key, message));
+                problems.push(self.vary_problem(&key, message));
                 continue;
             }
             match distribution.check() {
                 Ok(distribution) => variables.push(Variable { key, distribution }),
-                Err(message) => faults.push(self.vary_fault(&key, message)),
+                Err(message) => problems.push(self.vary_problem(&key, message)),
             }
         }
         variables
@@ -318,36 +319,36 @@ impl Checker<'_> {
                 match elf.as_ref().filter(|elf| !elf.is_file()) {
                     Some(missing) => {
                         let message = format!("{}: no such file, expected an ELF", missing.display());
-                        Err(self.fault("plan.confirm", message))
+                        Err(self.problem("plan.confirm", message))
                     }
                     None => Ok(Some(RigSpec::emulated(elf))),
                 }
             }
-            _ => Err(self.fault("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),
+            _ => Err(self.problem("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),
         }
     }
 
     /// Rejects listed values, because the method `rare` needs continuous distributions.
-    fn rare_fault(&self, variables: &[Variable]) -> Option<Diagnostic> {
+    fn rare_problem(&self, variables: &[Variable]) -> Option<Diagnostic> {
         let listed = variables.iter().find(|variable| variable.distribution.choices().is_some())?;
         Some(
-            self.vary_fault(
+            self.vary_problem(
                 &listed.key,
                 "listed values, expected `normal`, `lognormal` or `uniform` for method `rare`",
             ),
         )
     }
 
-    fn scenario_fault(&self, scenario: &Scenario) -> Option<Diagnostic> {
+    fn scenario_problem(&self, scenario: &Scenario) -> Option<Diagnostic> {
         let over_trials = scenario.expects(Metric::Repeatability) || scenario.keeps_controller();
         over_trials.then(|| {
             let message = "the scenario has [[between]] or a metric that compares trials; a campaign judges each trial \
                            alone, expected another scenario";
-            self.fault("scenario", message)
+            self.problem("scenario", message)
         })
     }
 
-    fn value_fault(&self, template: &ScenarioTemplate, variable: &Variable) -> Option<Diagnostic> {
+    fn value_problem(&self, template: &ScenarioTemplate, variable: &Variable) -> Option<Diagnostic> {
         let values = variable.distribution.required_values();
         let step = values.len().div_ceil(MAX_CHECKED_VALUES).max(1);
         let checked = values.iter().step_by(step).chain(values.last());
@@ -355,17 +356,17 @@ impl Checker<'_> {
             scenario.expectations.iter().map(|expectation| expectation.name.clone()).collect()
         };
         for value in checked {
-            let with_value = |message: &str| Some(self.vary_fault(&variable.key, format!("{value}: {message}")));
+            let with_value = |message: &str| Some(self.vary_problem(&variable.key, format!("{value}: {message}")));
             let tables = match template.tables([(&*variable.key, value.clone())]) {
                 Ok(tables) => tables,
-                Err(message) => return Some(self.vary_fault(&variable.key, message)),
+                Err(message) => return Some(self.vary_problem(&variable.key, message)),
             };
             let scenario = match template.check(&tables) {
                 Ok(scenario) => scenario,
-                Err(faults) => return with_value(faults.first().map_or("refused", |fault| &*fault.message)),
+                Err(problems) => return with_value(problems.first().map_or("refused", |problem| &*problem.message)),
             };
-            if let Err(fault) = platebench_engine::law(&scenario) {
-                return with_value(&fault.message);
+            if let Err(problem) = platebench_engine::law(&scenario) {
+                return with_value(&problem.message);
             }
             let is_pinned = |path: &Path| template.inputs().iter().any(|input| input.path == path);
             if names(&scenario) != names(&template.scenario)
@@ -404,7 +405,7 @@ impl Checker<'_> {
             let message = format!(
                 "the scenario refuses values outside {low} to {high}, and the value is correlated; expected `truncate`"
             );
-            return Err(self.vary_fault(key, message));
+            return Err(self.vary_problem(key, message));
         }
         // A search moves normal values to the middle of their range if the scenario refuses a point.
         let deviations = if method == Method::Search { 0.0 } else { deviations };
@@ -416,7 +417,7 @@ impl Checker<'_> {
                     .map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
                 let texts = texts.collect::<Vec<_>>().join(", ");
                 let message = format!("the scenario refuses the combination {texts}: {why}; expected smaller ranges");
-                return Err(self.fault("vary", message));
+                return Err(self.problem("vary", message));
             }
         }
         Ok(truncated)
@@ -427,18 +428,18 @@ impl Checker<'_> {
         let lists = variables.iter().filter_map(|variable| variable.distribution.choices());
         let cells = lists.clone().try_fold(1_u64, |cells, list| cells.checked_mul(list.len() as u64));
         let cells = cells.filter(|cells| *cells <= MAX_CELLS).ok_or_else(|| {
-            self.fault("vary", format!("more than {MAX_CELLS} combinations of listed values, expected fewer"))
+            self.problem("vary", format!("more than {MAX_CELLS} combinations of listed values, expected fewer"))
         })?;
         let has_lists = lists.count() > 0;
         if plan.method == Method::Grid && !has_lists {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
-            return Err(self.fault("plan.method", message));
+            return Err(self.problem("plan.method", message));
         }
         // A search selects its trials, so their share of failures says nothing about a cell.
         let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let trials = plan.trials.unsigned_abs().checked_mul(if plan.method == Method::Grid { cells } else { 1 });
         let trials = trials.filter(|trials| *trials <= MAX_TRIALS).ok_or_else(|| {
-            self.fault("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
+            self.problem("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
         })?;
         Ok([trials, cells])
     }
@@ -468,12 +469,12 @@ impl Campaign {
 mod tests {
     use super::*;
 
-    fn faults_of(varied: usize) -> Vec<Diagnostic> {
+    fn problems_of(varied: usize) -> Vec<Diagnostic> {
         let line = |number: usize| format!("\"profile.key_{number}\" = {{ uniform = [1.0, 0.0] }}\n");
-        faults_in(&(0..varied).map(line).collect::<String>())
+        problems_in(&(0..varied).map(line).collect::<String>())
     }
 
-    fn faults_in(vary: &str) -> Vec<Diagnostic> {
+    fn problems_in(vary: &str) -> Vec<Diagnostic> {
         let folder = tempfile::tempdir().unwrap();
         let text =
             format!("title = \"x\"\nscenario = \"none.toml\"\n[plan]\nmethod = \"random\"\ntrials = 1\n[vary]\n{vary}");
@@ -484,10 +485,10 @@ mod tests {
 
     #[test]
     fn each_of_many_wrong_keys_is_named_at_its_line() {
-        let faults = faults_of(MAX_VARIED);
-        // The first fault is the missing scenario.
-        assert_eq!(faults.len(), MAX_VARIED + 1);
-        let last = faults.last().unwrap().to_string();
+        let problems = problems_of(MAX_VARIED);
+        // The first problem is the missing scenario.
+        assert_eq!(problems.len(), MAX_VARIED + 1);
+        let last = problems.last().unwrap().to_string();
         let line = MAX_VARIED + 6;
         assert!(last.contains(&format!("campaign.toml:{line}:")) && last.contains("profile.key_199"), "{last}");
     }
@@ -497,17 +498,17 @@ mod tests {
         let vary = "\"plate.mode.gain_um_per_vpp\" = { uniform = [1.0, 2.0] }\n\
                     \"plate.mode.time_constant_ms\" = { normal = { mean = 1.0, sd = 0.0 } }\n\
                     \"profile.finger_force_n\" = { steps = [0.0, nan, 3] }";
-        let faults: Vec<_> = faults_in(vary).iter().map(ToString::to_string).collect();
-        let found = |place: &str| faults.iter().any(|fault| fault.contains(place));
-        assert!(found("campaign.toml:8:63: `sd`: 0, expected"), "{faults:?}");
-        assert!(found("campaign.toml:9:44: `steps`: NaN, expected"), "{faults:?}");
+        let problems: Vec<_> = problems_in(vary).iter().map(ToString::to_string).collect();
+        let found = |place: &str| problems.iter().any(|problem| problem.contains(place));
+        assert!(found("campaign.toml:8:63: `sd`: 0, expected"), "{problems:?}");
+        assert!(found("campaign.toml:9:44: `steps`: NaN, expected"), "{problems:?}");
     }
 
     #[test]
     fn too_many_varied_values_are_refused() {
-        let faults = faults_of(MAX_VARIED + 1);
-        assert_eq!(faults.len(), 2);
-        let message = faults[1].to_string();
+        let problems = problems_of(MAX_VARIED + 1);
+        assert_eq!(problems.len(), 2);
+        let message = problems[1].to_string();
         assert!(message.contains("201 varied values, expected at most 200"), "{message}");
     }
 }

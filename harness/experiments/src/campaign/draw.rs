@@ -60,18 +60,18 @@ impl Campaign {
         let refuse = |message: &str| Diagnostic::for_file(&self.path, message);
         let checked = self.tables(seed, &values).map_err(|message| refuse(&message)).and_then(|tables| {
             let scenario = self.template.check(&tables);
-            let first = |faults: Vec<Diagnostic>| faults.into_iter().next().unwrap_or_else(|| refuse("refused"));
+            let first = |problems: Vec<Diagnostic>| problems.into_iter().next().unwrap_or_else(|| refuse("refused"));
             scenario.map(|scenario| (tables, scenario)).map_err(first)
         });
-        let fault = match checked {
+        let problem = match checked {
             Ok((tables, scenario)) => return Ok(DrawnTrial { number, seed, values, redraws, tables, scenario }),
-            Err(fault) => fault,
+            Err(problem) => problem,
         };
         let values = self.variables.iter().zip(&values);
         let values =
             values.map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
         let values = values.collect::<Vec<_>>().join(", ");
-        Err(CampaignError::Trial { trial: number, values, fault: Box::new(fault) })
+        Err(CampaignError::Trial { trial: number, values, problem: Box::new(problem) })
     }
 
     pub(crate) fn title_of(&self, trial: &DrawnTrial) -> String {

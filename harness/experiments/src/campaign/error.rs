@@ -77,8 +77,8 @@ pub enum CampaignError {
     OtherInputs { path: PathBuf, reference: PathBuf },
     #[error("shard {shard} is not in the plan, expected 1 to {shards}")]
     NoShard { shard: u32, shards: u32 },
-    #[error("trial {trial} cannot be played with the values {values}: {fault}")]
-    Trial { trial: u64, values: String, fault: Box<Diagnostic> },
+    #[error("trial {trial} cannot be played with the values {values}: {problem}")]
+    Trial { trial: u64, values: String, problem: Box<Diagnostic> },
     #[error(transparent)]
     Connect(#[from] ConnectError),
     #[error(transparent)]

@@ -142,7 +142,7 @@ fn is_precise(differences: &[f64]) -> bool {
 
 /// Values of the expectations; NaN if there is none. `None` if the trial was cancelled.
 fn play(executor: &mut Executor<'_>, scenario: &Scenario) -> Result<Option<Vec<f64>>, CampaignError> {
-    let law = law(scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
+    let law = law(scenario).map_err(|problem| CampaignError::Files(vec![problem]))?;
     let Some(played) = executor.play(scenario, law, 0, None)? else { return Ok(None) };
     Ok(Some(values_of(scenario, measure(scenario, 0, &played.trace_rows, &played.telemetry))))
 }

@@ -252,9 +252,9 @@ impl TrialPlayer<'_> {
 
     /// `None` if the trial was cancelled.
     fn play_trial(&self, executor: &mut Executor<'_>, trial: &DrawnTrial) -> Result<Option<TrialRow>, CampaignError> {
-        let law = law(&trial.scenario).map_err(|fault| CampaignError::Files(vec![fault]))?;
+        let law = law(&trial.scenario).map_err(|problem| CampaignError::Files(vec![problem]))?;
         let missing = why_not_applicable(&trial.scenario, law, true, executor.session()?);
-        if missing.map_err(|fault| CampaignError::Files(vec![*fault]))?.is_some() {
+        if missing.map_err(|problem| CampaignError::Files(vec![*problem]))?.is_some() {
             return Ok(Some(TrialRow::not_applicable(trial)));
         }
         let Some(played) = executor.play(&trial.scenario, law, 0, None)? else { return Ok(None) };

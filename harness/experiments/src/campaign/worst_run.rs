@@ -72,7 +72,7 @@ pub fn play_worst(
     }
     let files = trials.iter().map(|trial| file_name(trial.number));
     let scenarios = files.map(|file| load(&scenario_folder.join(&file), &file)).collect::<Result<Vec<_>, _>>();
-    let scenarios = scenarios.map_err(|fault| CampaignError::Files(vec![fault]))?;
+    let scenarios = scenarios.map_err(|problem| CampaignError::Files(vec![problem]))?;
     let clock = Clock::Lockstep { wire_time: false };
     let keep_traces = if trials.len() > MAX_TRACES { KeepTraces::None } else { KeepTraces::All };
     let overrides = Overrides { keep_traces, ..Overrides::default() };

@@ -155,16 +155,16 @@ pub struct AcceptancePlan {
 impl AcceptancePlan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawPlan>(path)?;
-        let mut checker = PlanChecker { path, text: &text, faults: Vec::new() };
+        let mut checker = PlanChecker { path, text: &text, problems: Vec::new() };
         checker.check(&raw);
-        let mut faults = checker.faults;
+        let mut problems = checker.problems;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut scenarios: Vec<PlannedScenario> = Vec::new();
         for (number, planned) in raw.scenario.iter().enumerate() {
             let at = |message: String| Diagnostic::at_key(path, &text, &format!("scenario.{number}.file"), message);
             let file = folder.join(&planned.file);
             if file.is_dir() {
-                faults.push(at(format!("{} is a folder, expected a scenario file", file.display())));
+                problems.push(at(format!("{} is a folder, expected a scenario file", file.display())));
                 continue;
             }
             match find(&[file]) {
@@ -172,26 +172,26 @@ impl AcceptancePlan {
                     let repetitions = planned.repetitions.unwrap_or(raw.repetitions);
                     for scenario in found.scenarios {
                         if scenarios.iter().any(|other| other.scenario.name() == scenario.name()) {
-                            faults.push(at(format!("`{}` is in the plan twice", scenario.file)));
+                            problems.push(at(format!("`{}` is in the plan twice", scenario.file)));
                         }
-                        faults.extend(unknown_requirements(&scenario, &raw.requirement));
+                        problems.extend(unknown_requirements(&scenario, &raw.requirement));
                         scenarios.push(PlannedScenario { scenario, repetitions });
                     }
                 }
-                Err(found) => faults.extend(found),
+                Err(found) => problems.extend(found),
             }
         }
         let budget = raw.decision.as_ref().map(|raw| Budget::load(&folder.join(&raw.budget), &known_quantities()));
         let budget = budget.transpose().unwrap_or_else(|found| {
-            faults.extend(found);
+            problems.extend(found);
             None
         });
         let decision = raw.decision.as_ref().zip(budget).map(|(raw, budget)| raw.with_budget(budget));
         if let Some(decision) = &decision {
-            faults.extend(decision_diagnostics(path, &text, decision, &scenarios));
+            problems.extend(decision_diagnostics(path, &text, decision, &scenarios));
         }
-        if !faults.is_empty() {
-            return Err(faults);
+        if !problems.is_empty() {
+            return Err(problems);
         }
         let RawPlan { title, requirement, ask, bench, .. } = raw;
         Ok(Self { bytes: text.into_bytes(), title, requirements: requirement, scenarios, asks: ask, bench, decision })
@@ -217,7 +217,7 @@ pub(crate) fn read_recorded_plan(
     Ok((raw.requirement, decision))
 }
 
-/// Returns faults of scenarios that the decision rule cannot judge. Except with rule `simple`, each
+/// Returns problems of scenarios that the decision rule cannot judge. Except with rule `simple`, each
 /// expectation of a requirement needs a budget and must not be `about`.
 fn decision_diagnostics(
     path: &Path,
@@ -225,9 +225,9 @@ fn decision_diagnostics(
     decision: &PlanDecision,
     scenarios: &[PlannedScenario],
 ) -> Vec<Diagnostic> {
-    let mut faults: Vec<Diagnostic> = Vec::new();
+    let mut problems: Vec<Diagnostic> = Vec::new();
     if decision.rule == DecisionRule::Simple {
-        return faults;
+        return problems;
     }
     for PlannedScenario { scenario, .. } in scenarios {
         for (number, expectation) in scenario.expectations.iter().enumerate() {
@@ -236,7 +236,7 @@ fn decision_diagnostics(
             }
             if matches!(expectation.limit, Limit::About(_)) {
                 let message = format!("the rule {} needs a limit, expected `within` instead of `about`", decision.rule);
-                faults.push(scenario.diagnostic(&format!("expect.{number}.about"), message));
+                problems.push(scenario.diagnostic(&format!("expect.{number}.about"), message));
             }
             let metric = expectation.metric;
             if decision.budget.quantity(metric.name()).is_none() {
@@ -244,11 +244,11 @@ fn decision_diagnostics(
                     "the rule {} needs a [[budget]] for {metric}, which {} expects",
                     decision.rule, scenario.file
                 );
-                faults.push(Diagnostic::at_key(path, text, "decision.budget", message));
+                problems.push(Diagnostic::at_key(path, text, "decision.budget", message));
             }
         }
     }
-    faults
+    problems
 }
 
 pub fn plan_schema() -> Schema {
@@ -258,12 +258,12 @@ pub fn plan_schema() -> Schema {
 struct PlanChecker<'a> {
     path: &'a Path,
     text: &'a str,
-    faults: Vec<Diagnostic>,
+    problems: Vec<Diagnostic>,
 }
 
 impl PlanChecker<'_> {
     fn report(&mut self, key: &str, message: String) {
-        self.faults.push(Diagnostic::at_key(self.path, self.text, key, message));
+        self.problems.push(Diagnostic::at_key(self.path, self.text, key, message));
     }
 
     fn check(&mut self, raw: &RawPlan) {

@@ -122,21 +122,21 @@ impl Inventory {
         }
         let folder = std::env::current_dir().map_err(|_| BoardError::NoInventory)?;
         let nearest = find_trusted_file_above(&folder, INVENTORY_FILE, "--boards");
-        let path = nearest.map_err(|fault| BoardError::Inventory(vec![fault]))?.ok_or(BoardError::NoInventory)?;
+        let path = nearest.map_err(|problem| BoardError::Inventory(vec![problem]))?.ok_or(BoardError::NoInventory)?;
         Self::read(&path).map_err(BoardError::Inventory)
     }
 
     pub fn read(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawInventory>(path)?;
-        let mut faults = Vec::new();
+        let mut problems = Vec::new();
         let mut names = BTreeSet::new();
         let mut boards = Vec::new();
         if raw.board.is_empty() {
-            faults.push(Diagnostic::at_key(path, &text, "board", "no board, expected at least one [[board]]"));
+            problems.push(Diagnostic::at_key(path, &text, "board", "no board, expected at least one [[board]]"));
         }
         for (index, board) in raw.board.into_iter().enumerate() {
             let mut refuse = |key: &str, why: String| {
-                faults.push(Diagnostic::at_key(path, &text, &format!("board.{index}.{key}"), why));
+                problems.push(Diagnostic::at_key(path, &text, &format!("board.{index}.{key}"), why));
             };
             if !names.insert(board.name.clone()) {
                 refuse("name", format!("`{}` is the name of an earlier board, expected another one", board.name));
@@ -145,7 +145,7 @@ impl Inventory {
                 boards.push(checked);
             }
         }
-        if faults.is_empty() { Ok(Self { path: path.to_owned(), boards }) } else { Err(faults) }
+        if problems.is_empty() { Ok(Self { path: path.to_owned(), boards }) } else { Err(problems) }
     }
 
     pub fn board(&self, name: &str) -> Result<&Board, BoardError> {
@@ -288,8 +288,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("boards.toml");
         std::fs::write(&path, text).unwrap();
-        let describe = |fault: &Diagnostic| format!("{}: {}", fault.position().0, fault.message);
-        Inventory::read(&path).map_err(|faults| faults.iter().map(describe).collect())
+        let describe = |problem: &Diagnostic| format!("{}: {}", problem.position().0, problem.message);
+        Inventory::read(&path).map_err(|problems| problems.iter().map(describe).collect())
     }
 
     #[test]
@@ -310,15 +310,15 @@ mod tests {
     }
 
     #[test]
-    fn reports_every_fault_with_its_line() {
-        let faults = read(
+    fn reports_every_problem_with_its_line() {
+        let problems = read(
             "[[board]]\nname = \"../a\"\nrig = \"can:0\"\nchip_id = \"12\"\nplate = \"none.toml\"\n\
              [board.sensor]\nname = \"x\"\ncalibrated = \"2026-02-30\"\nuncertainty_percent = 1.0\n\
              [[board]]\nname = \"b\"\nrig = \"hosted\"\n[[board]]\nname = \"b\"\nrig = \"hosted\"\n",
         )
         .unwrap_err();
-        let lines: Vec<_> = faults.iter().map(|fault| fault.split(':').next().unwrap()).collect();
-        assert_eq!(lines, ["2", "3", "4", "5", "8", "14"], "{faults:#?}");
+        let lines: Vec<_> = problems.iter().map(|problem| problem.split(':').next().unwrap()).collect();
+        assert_eq!(lines, ["2", "3", "4", "5", "8", "14"], "{problems:#?}");
         let sensor =
             "[[board]]\nname = \"a\"\nrig = \"hosted\"\n[board.sensor]\nname = \"x\"\nuncertainty_percent = -1.0\n";
         assert_eq!(read(sensor).unwrap_err(), ["6: `uncertainty_percent`: -1 %, expected 0 or more"]);

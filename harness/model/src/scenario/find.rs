@@ -97,7 +97,7 @@ struct Search {
     visited: BTreeSet<PathBuf>,
     copies: BTreeSet<PathBuf>,
     empty_folders: Vec<PathBuf>,
-    faults: Vec<Diagnostic>,
+    problems: Vec<Diagnostic>,
 }
 
 struct FoundFile {
@@ -115,7 +115,7 @@ struct FoundFile {
 pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     let mut search = Search::default();
     let files = search.files(arguments, |path| Ok(FileKind::detect(path)? == FileKind::Scenario));
-    let Search { copies, empty_folders, mut faults, .. } = search;
+    let Search { copies, empty_folders, mut problems, .. } = search;
     let copies = copies.into_iter().collect();
     let mut found = FoundScenarios { scenarios: Vec::new(), skipped: Vec::new(), empty_folders, copies };
     for FoundFile { path, name, is_named } in files {
@@ -123,9 +123,9 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
             Ok(scenario) if scenario.only_if_named.is_some() && !is_named => found.skipped.push(scenario),
             Ok(scenario) => found.scenarios.push(scenario),
             // Cases of one file may have the same error.
-            Err(found) => found.into_iter().for_each(|fault| {
-                if !faults.contains(&fault) {
-                    faults.push(fault);
+            Err(found) => found.into_iter().for_each(|problem| {
+                if !problems.contains(&problem) {
+                    problems.push(problem);
                 }
             }),
         }
@@ -133,20 +133,20 @@ pub fn find(arguments: &[PathBuf]) -> Result<FoundScenarios, Vec<Diagnostic>> {
     found.scenarios.sort_by(|a, b| a.file.cmp(&b.file));
     let path = |scenario: &Scenario| scenario.inputs.first().map(|input| input.path.clone()).unwrap_or_default();
     let named: Vec<_> = found.scenarios.iter().map(|scenario| (path(scenario), scenario.file.clone())).collect();
-    faults.extend(repeated_names(&named));
-    if faults.is_empty() { Ok(found) } else { Err(faults) }
+    problems.extend(repeated_names(&named));
+    if problems.is_empty() { Ok(found) } else { Err(problems) }
 }
 
 /// Returns an error for each scenario that has the name in records of an earlier one. `files` are
 /// paths and names.
 pub fn repeated_names<'a>(files: impl IntoIterator<Item = &'a (PathBuf, String)>) -> Vec<Diagnostic> {
     let mut names = BTreeMap::new();
-    let fault = |(path, name): &'a (PathBuf, String)| {
+    let problem = |(path, name): &'a (PathBuf, String)| {
         let other = names.insert(name.strip_suffix(".toml").unwrap_or(name), path)?;
         let message = format!("has the name {name} in records, like {}; rename one of them", other.display());
         Some(Diagnostic::for_file(path, message))
     };
-    files.into_iter().filter_map(fault).collect()
+    files.into_iter().filter_map(problem).collect()
 }
 
 /// Returns each named file, and each TOML file below a named folder, with its name in records. A
@@ -155,7 +155,7 @@ pub fn repeated_names<'a>(files: impl IntoIterator<Item = &'a (PathBuf, String)>
 pub fn list_files(arguments: &[PathBuf]) -> (Vec<(PathBuf, String)>, Vec<Diagnostic>) {
     let mut search = Search::default();
     let files = search.files(arguments, |_| Ok(true));
-    (files.into_iter().map(|file| (file.path, file.name)).collect(), search.faults)
+    (files.into_iter().map(|file| (file.path, file.name)).collect(), search.problems)
 }
 
 fn canonical(path: &Path) -> PathBuf {
@@ -174,8 +174,8 @@ impl Search {
         for argument in arguments {
             let argument = match resolve_argument(argument, &folder) {
                 Ok(path) => path,
-                Err(fault) => {
-                    self.faults.push(fault);
+                Err(problem) => {
+                    self.problems.push(problem);
                     continue;
                 }
             };
@@ -183,10 +183,10 @@ impl Search {
             let mut below = self.files_below(&argument);
             below.retain(|path| {
                 *path == argument
-                    || is_wanted(path).unwrap_or_else(|faults| {
-                        for fault in faults {
-                            if !self.faults.contains(&fault) {
-                                self.faults.push(fault);
+                    || is_wanted(path).unwrap_or_else(|problems| {
+                        for problem in problems {
+                            if !self.problems.contains(&problem) {
+                                self.problems.push(problem);
                             }
                         }
                         false
@@ -201,7 +201,7 @@ impl Search {
                 let path = case.as_ref().map_or(path, |(file, _)| file.clone());
                 let canonical = canonical(&path);
                 let Some(name) = record_name(&canonical, &argument) else {
-                    self.faults.push(Diagnostic::for_file(&path, NOT_UTF8));
+                    self.problems.push(Diagnostic::for_file(&path, NOT_UTF8));
                     continue;
                 };
                 let names = match case {
@@ -227,7 +227,7 @@ impl Search {
         let entries = match fs::read_dir(argument).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
             Ok(entries) => entries,
             Err(error) => {
-                self.faults.push(Diagnostic::for_file(argument, format!("cannot be read: {error}")));
+                self.problems.push(Diagnostic::for_file(argument, format!("cannot be read: {error}")));
                 return Vec::new();
             }
         };
@@ -244,7 +244,7 @@ impl Search {
             } else if name.starts_with('.') {
             } else if path.is_symlink() && !path.exists() {
                 let message = "a broken symbolic link, expected a file";
-                self.faults.push(Diagnostic::for_file(&path, message));
+                self.problems.push(Diagnostic::for_file(&path, message));
             } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml")) {
                 files.push(path);
             }
@@ -328,7 +328,7 @@ const KEYS: [(FileKind, &[&str]); 9] = [
 impl FileKind {
     /// Fails if the file cannot be read, is not TOML, or has no key of a known kind.
     pub fn detect(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let text = read_text(path).map_err(|fault| vec![fault])?;
+        let text = read_text(path).map_err(|problem| vec![problem])?;
         let document = parse_syntax(path, &text)?;
         let document = document.get_ref();
         let has = |key: &&str| document.contains_key(*key);
@@ -370,7 +370,7 @@ mod file_kind_tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
-        FileKind::detect(&path).map_err(|faults| faults[0].to_string().replace(&path.display().to_string(), name))
+        FileKind::detect(&path).map_err(|problems| problems[0].to_string().replace(&path.display().to_string(), name))
     }
 
     #[test]

@@ -27,7 +27,7 @@ use toml::{Table, Value};
 
 /// `file` is the name of the scenario in records. Returns only the first error.
 pub fn load(path: &Path, file: &str) -> Result<Scenario, Diagnostic> {
-    load_with_all_errors(path, file).map_err(|faults| first_diagnostic(path, faults))
+    load_with_all_errors(path, file).map_err(|problems| first_diagnostic(path, problems))
 }
 
 /// Like [`load()`], but returns all independent errors, one per `[[fault]]` and `[[expect]]`.
@@ -49,7 +49,7 @@ pub fn load_copies(copies: &[PathBuf], file: &str) -> Result<Scenario, Diagnosti
     let [path, named @ ..] = copies else {
         return Err(Diagnostic::for_file(Path::new(file), "the run folder contains no copy of this scenario"));
     };
-    load_from(path, file, named).map_err(|faults| first_diagnostic(path, faults))
+    load_from(path, file, named).map_err(|problems| first_diagnostic(path, problems))
 }
 
 /// Checks a scenario that no file contains. `plates` are its plates by their path in `raw`. CSV
@@ -66,17 +66,17 @@ pub fn check_raw(raw: RawScenario, file: &str, plates: &BTreeMap<PathBuf, RawPla
         let plates = plates.iter().map(known).collect::<Result<Vec<_>, Vec<Diagnostic>>>()?;
         Checker { source: Source::file(path, ""), prefix: String::new(), plates: &plates }.check(raw, file)
     };
-    checked().map_err(|faults| first_diagnostic(path, faults))
+    checked().map_err(|problems| first_diagnostic(path, problems))
 }
 
 fn check_ranges(schema: &Schema, raw: &impl Serialize, path: &Path) -> Result<(), Vec<Diagnostic>> {
     let table = Table::try_from(raw).map_err(|error| vec![Diagnostic::for_file(path, error.to_string())])?;
-    let faults = range_errors(schema, &table, None, &Source::file(path, ""));
-    if faults.is_empty() { Ok(()) } else { Err(faults) }
+    let problems = range_errors(schema, &table, None, &Source::file(path, ""));
+    if problems.is_empty() { Ok(()) } else { Err(problems) }
 }
 
-fn first_diagnostic(path: &Path, faults: Vec<Diagnostic>) -> Diagnostic {
-    faults.into_iter().next().unwrap_or_else(|| Diagnostic::for_file(path, "rejected without a reason"))
+fn first_diagnostic(path: &Path, problems: Vec<Diagnostic>) -> Diagnostic {
+    problems.into_iter().next().unwrap_or_else(|| Diagnostic::for_file(path, "rejected without a reason"))
 }
 
 fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Vec<Diagnostic>> {
@@ -90,7 +90,7 @@ fn load_from(path: &Path, file: &str, copies: &[PathBuf]) -> Result<Scenario, Ve
         *named = std::path::absolute(copy).unwrap_or_else(|_| copy.clone());
     }
     let checker = Checker { source: opened.source(), prefix: String::new(), plates: &[] };
-    let mut scenario = checker.check(raw, file).map_err(|faults| with_truncation_note(&opened.path, faults))?;
+    let mut scenario = checker.check(raw, file).map_err(|problems| with_truncation_note(&opened.path, problems))?;
     // The run record contains the texts. There is no `requirements.toml` above the copies.
     if copies.is_empty() {
         let used = scenario.expectations.iter().filter_map(|expectation| expectation.requirement.as_deref());
@@ -127,7 +127,7 @@ pub struct ScenarioTables {
 impl ScenarioTemplate {
     /// `scenario` must be loaded from `path`. `edit` changes the table of the scenario file first.
     pub(super) fn new(path: &Path, scenario: Scenario, edit: impl FnOnce(&mut Table)) -> Result<Self, Vec<Diagnostic>> {
-        let read = |path: &Path| read_text(path).map_err(|fault| vec![fault]);
+        let read = |path: &Path| read_text(path).map_err(|problem| vec![problem]);
         let parse = |path: &Path, text: &str| {
             text.parse::<Table>().map_err(|error| vec![Diagnostic::from_toml(path, text, &error)])
         };
@@ -137,9 +137,9 @@ impl ScenarioTemplate {
             .map_err(|error| vec![Diagnostic::from_toml(&opened.path, &opened.text, &error)])?;
         edit(&mut table);
         // Later checks skip the values of this table.
-        let faults = range_errors(&SCENARIO_SCHEMA, &table, None, &opened.source());
-        if !faults.is_empty() {
-            return Err(faults);
+        let problems = range_errors(&SCENARIO_SCHEMA, &table, None, &opened.source());
+        if !problems.is_empty() {
+            return Err(problems);
         }
         let plate_name = table.get("plate").and_then(Value::as_str).unwrap_or_default().to_owned();
         let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&plate_name);
@@ -205,8 +205,8 @@ fn from_table<T: DeserializeOwned>(
 ) -> Result<T, Vec<Diagnostic>> {
     let raw =
         T::deserialize(table.clone()).map_err(|error| vec![Diagnostic::from_toml(source.path, source.text, &error)])?;
-    let faults = range_errors(schema, table, Some(checked), source);
-    if faults.is_empty() { Ok(raw) } else { Err(faults) }
+    let problems = range_errors(schema, table, Some(checked), source);
+    if problems.is_empty() { Ok(raw) } else { Err(problems) }
 }
 
 /// Replaces the value at a dotted key. A number in the key selects an element of a list. Creates
@@ -263,10 +263,10 @@ struct RawRequirements {
 pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
     let (text, raw) = parse_file::<RawRequirements>(path)?;
     let mut known = BTreeSet::new();
-    let mut faults = Vec::new();
+    let mut problems = Vec::new();
     for (number, requirement) in raw.requirement.iter().enumerate() {
         let mut report = |key: &str, message: String| {
-            faults.push(Diagnostic::at_key(path, &text, &format!("requirement.{number}.{key}"), message));
+            problems.push(Diagnostic::at_key(path, &text, &format!("requirement.{number}.{key}"), message));
         };
         if requirement.text.trim().is_empty() {
             report("text", "empty, expected a text".to_owned());
@@ -275,7 +275,7 @@ pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic
             report("id", format!("`{}`, expected each identifier once and none empty", requirement.id));
         }
     }
-    if faults.is_empty() { Ok(raw.requirement) } else { Err(faults) }
+    if problems.is_empty() { Ok(raw.requirement) } else { Err(problems) }
 }
 
 /// Returns the texts of the identifiers in `used`. Empty if no folder above `scenario` contains
@@ -336,7 +336,7 @@ mod requirements_tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(REQUIREMENTS_FILE);
         fs::write(&path, text).unwrap();
-        let faults = read_requirements(&path).unwrap_err();
-        assert!(faults[0].message.contains(expected), "{}", faults[0].message);
+        let problems = read_requirements(&path).unwrap_err();
+        assert!(problems[0].message.contains(expected), "{}", problems[0].message);
     }
 }

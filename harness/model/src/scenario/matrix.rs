@@ -54,11 +54,11 @@ impl<'a> Source<'a> {
                 source: *self,
                 case,
                 cells: cells.map_or_else(Cells::new, |(_, cells)| cells),
-                faults: Vec::new(),
+                problems: Vec::new(),
             };
             expansion.table(document.get_mut());
-            if !expansion.faults.is_empty() {
-                return Err(expansion.faults);
+            if !expansion.problems.is_empty() {
+                return Err(expansion.problems);
             }
         }
         Ok(document)
@@ -90,10 +90,10 @@ impl SourceFile {
     /// name in records. It selects the case if `path` is a file with a `[matrix]`.
     pub(crate) fn read(path: &Path, name: &str) -> Result<Self, Vec<Diagnostic>> {
         if let Some((path, case)) = find_case(path) {
-            let text = read_text(&path).map_err(|fault| vec![fault])?;
+            let text = read_text(&path).map_err(|problem| vec![problem])?;
             return Ok(Self { path, text, case: Some(case) });
         }
-        let text = read_text(path).map_err(|fault| vec![fault])?;
+        let text = read_text(path).map_err(|problem| vec![problem])?;
         let Some(cases) = case_names(path, &text)? else {
             return Ok(Self { path: path.to_owned(), text, case: None });
         };
@@ -173,7 +173,7 @@ struct Axis<'a> {
 /// Reads the `[matrix]` of a document.
 struct Matrix<'s, 'a> {
     source: &'s Source<'s>,
-    faults: Vec<Diagnostic>,
+    problems: Vec<Diagnostic>,
     /// Names of all placeholders with a value, and where the first one is.
     known: BTreeMap<String, Spanned<()>>,
     axes: Vec<Axis<'a>>,
@@ -183,14 +183,14 @@ impl<'a> Matrix<'_, 'a> {
     /// Returns the cases with their values: all combinations of the axes, the last axis fastest, or
     /// the rows if there is no axis. Fails with all errors.
     fn read(source: &Source<'_>, document: &Document<'a>) -> Result<Vec<(String, Cells<'a>)>, Vec<Diagnostic>> {
-        let mut matrix = Matrix { source, faults: Vec::new(), known: BTreeMap::new(), axes: Vec::new() };
+        let mut matrix = Matrix { source, problems: Vec::new(), known: BTreeMap::new(), axes: Vec::new() };
         let cases = match document.get_ref().get_key_value(MATRIX) {
             Some((key, value)) => matrix.cases(key, value),
             None => Vec::new(),
         };
         matrix.check_names(document);
-        matrix.faults.sort_by_key(Diagnostic::position);
-        if matrix.faults.is_empty() { Ok(cases) } else { Err(matrix.faults) }
+        matrix.problems.sort_by_key(Diagnostic::position);
+        if matrix.problems.is_empty() { Ok(cases) } else { Err(matrix.problems) }
     }
 
     fn cases(&mut self, key: &Spanned<Cow<'_, str>>, value: &Cell<'a>) -> Vec<(String, Cells<'a>)> {
@@ -215,7 +215,7 @@ impl<'a> Matrix<'_, 'a> {
         {
             let hint = suggestion(name.get_ref(), cases.iter().map(|(case, _)| case.as_str()));
             let message = format!("unknown case `{}`, expected a combination of the axes{hint}", name.get_ref());
-            self.faults.push(self.source.at(name, message));
+            self.problems.push(self.source.at(name, message));
         }
         for (name, cells) in &mut cases {
             let row = rows.iter().find(|(row, _)| row.get_ref() == name);
@@ -226,10 +226,10 @@ impl<'a> Matrix<'_, 'a> {
         let mut known = BTreeSet::new();
         if cases.is_empty() || cases.len() > MAX_CASES {
             let message = format!("`{MATRIX}` has {} cases, expected 1 to {MAX_CASES}", cases.len());
-            self.faults.push(self.source.at(key, message));
+            self.problems.push(self.source.at(key, message));
         } else if let Some((name, _)) = cases.iter().find(|(name, _)| !known.insert(name)) {
             let message = format!("`{MATRIX}` has several cases `{name}`, expected cases with different names");
-            self.faults.push(self.source.at(key, message));
+            self.problems.push(self.source.at(key, message));
         }
         cases
     }
@@ -295,7 +295,7 @@ impl<'a> Matrix<'_, 'a> {
     fn table<'v>(&mut self, value: &'v Cell<'a>, expected: &str) -> Option<&'v DeTable<'a>> {
         let table = value.get_ref().as_table();
         if table.is_none() {
-            self.faults.push(self.source.at(value, format!("expected {expected}")));
+            self.problems.push(self.source.at(value, format!("expected {expected}")));
         }
         table
     }
@@ -310,7 +310,7 @@ impl<'a> Matrix<'_, 'a> {
         let is_allowed = |letter: char| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_' | '.');
         if name.is_empty() || !name.chars().all(is_allowed) {
             let message = format!("`{name}` is part of the name of a case, expected letters, digits, `-`, `_` and `.`");
-            self.faults.push(self.source.at(place, message));
+            self.problems.push(self.source.at(place, message));
         }
     }
 
@@ -328,7 +328,7 @@ impl<'a> Matrix<'_, 'a> {
         for name in unused {
             if let Some(place) = self.known.get(&name) {
                 let message = format!("unused value `{name}`, expected `{{{name}}}` in the scenario");
-                self.faults.push(self.source.at(place, message));
+                self.problems.push(self.source.at(place, message));
             }
         }
     }
@@ -343,7 +343,7 @@ impl<'a> Matrix<'_, 'a> {
                         let hint = suggestion(name, self.known.keys().map(String::as_str));
                         let message =
                             format!("unknown placeholder `{{{name}}}`, expected a name in `[{MATRIX}]`{hint}");
-                        self.faults.push(self.source.at(value, message));
+                        self.problems.push(self.source.at(value, message));
                     }
                     used.insert(name.to_owned());
                 }
@@ -358,7 +358,7 @@ struct Expansion<'s, 'a> {
     source: Source<'s>,
     case: &'s str,
     cells: Cells<'a>,
-    faults: Vec<Diagnostic>,
+    problems: Vec<Diagnostic>,
 }
 
 impl<'a> Expansion<'_, 'a> {
@@ -412,7 +412,7 @@ impl<'a> Expansion<'_, 'a> {
                      `[{MATRIX}.{DEFAULT}]`; \"{LEFT_OUT}\" leaves out the key",
                     self.case
                 );
-                self.faults.push(self.source.at(value, message));
+                self.problems.push(self.source.at(value, message));
                 return true;
             };
             if matches!(cell.get_ref(), DeValue::String(text) if text == LEFT_OUT) {
@@ -424,7 +424,7 @@ impl<'a> Expansion<'_, 'a> {
                 return true;
             }
             let Some(part) = text_of_cell(&self.source, cell) else {
-                self.faults
+                self.problems
                     .push(self.source.at(cell, format!("`{name}` is part of a text, expected a text or a number")));
                 return true;
             };

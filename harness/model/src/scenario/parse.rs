@@ -19,7 +19,7 @@ use toml::{Spanned, Table, Value};
 
 /// Also returns the text of the file. Fails as [`parse`] does, or if the file cannot be read.
 pub fn parse_file<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
-    let text = read_text(path).map_err(|fault| vec![fault])?;
+    let text = read_text(path).map_err(|problem| vec![problem])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
@@ -28,7 +28,7 @@ pub fn parse_bytes<T: DeserializeOwned + JsonSchema>(
     path: &Path,
     bytes: Vec<u8>,
 ) -> Result<(String, T), Vec<Diagnostic>> {
-    let text = decode_text(path, bytes).map_err(|fault| vec![fault])?;
+    let text = decode_text(path, bytes).map_err(|problem| vec![problem])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))
 }
@@ -47,15 +47,15 @@ pub fn parse<T: DeserializeOwned + JsonSchema>(path: &Path, text: &str) -> Resul
 pub(crate) fn parse_source<T: DeserializeOwned + JsonSchema>(source: &Source<'_>) -> Result<T, Vec<Diagnostic>> {
     let Source { path, text, .. } = *source;
     // serde stops at the first error, so the wrong element is removed and the rest is read again.
-    let mut rest = source.document().map_err(|faults| with_truncation_note(path, faults))?;
-    let mut faults = Vec::new();
+    let mut rest = source.document().map_err(|problems| with_truncation_note(path, problems))?;
+    let mut problems = Vec::new();
     let mut holes: Vec<Range<usize>> = Vec::new();
     loop {
         let error = match T::deserialize(Deserializer::from(rest.clone())) {
-            Ok(raw) if faults.is_empty() => {
+            Ok(raw) if problems.is_empty() => {
                 let table = Table::deserialize(Deserializer::from(rest)).unwrap_or_default();
-                let faults = range_errors(&schema_of::<T>(""), &table, None, source);
-                return if faults.is_empty() { Ok(raw) } else { Err(with_truncation_note(path, faults)) };
+                let problems = range_errors(&schema_of::<T>(""), &table, None, source);
+                return if problems.is_empty() { Ok(raw) } else { Err(with_truncation_note(path, problems)) };
             }
             Ok(_) => break,
             Err(error) => error,
@@ -65,31 +65,31 @@ pub(crate) fn parse_source<T: DeserializeOwned + JsonSchema>(source: &Source<'_>
         let is_missing = ["missing field", NO_VARIANT].iter().any(|start| error.message().starts_with(start));
         let is_hole = is_missing && holes.contains(&span);
         if !is_hole {
-            faults.push(Diagnostic::from_toml(path, text, &error));
+            problems.push(Diagnostic::from_toml(path, text, &error));
         }
         let own = rest.span();
-        if faults.len() >= MAX_DIAGNOSTICS || !remove_span(rest.get_mut(), &own, &span, &mut holes) {
+        if problems.len() >= MAX_DIAGNOSTICS || !remove_span(rest.get_mut(), &own, &span, &mut holes) {
             break;
         }
     }
     // Missing keys come last, because a misspelt key may explain them.
-    faults.sort_by_key(|fault| (fault.message.starts_with("missing key"), fault.position()));
-    Err(with_truncation_note(path, faults))
+    problems.sort_by_key(|problem| (problem.message.starts_with("missing key"), problem.position()));
+    Err(with_truncation_note(path, problems))
 }
 
 /// Fails with all syntax errors.
 pub(crate) fn parse_syntax<'a>(path: &Path, text: &'a str) -> Result<Spanned<DeTable<'a>>, Vec<Diagnostic>> {
     let (document, errors) = DeTable::parse_recoverable(text);
-    let faults: Vec<_> =
+    let problems: Vec<_> =
         errors.iter().take(MAX_DIAGNOSTICS).map(|error| Diagnostic::from_toml(path, text, error)).collect();
-    if faults.is_empty() { Ok(document) } else { Err(with_truncation_note(path, faults)) }
+    if problems.is_empty() { Ok(document) } else { Err(with_truncation_note(path, problems)) }
 }
 
-pub(crate) fn with_truncation_note(path: &Path, mut faults: Vec<Diagnostic>) -> Vec<Diagnostic> {
-    if faults.len() >= MAX_DIAGNOSTICS {
-        faults.push(Diagnostic::for_file(path, format!("only the first {MAX_DIAGNOSTICS} errors are listed")));
+pub(crate) fn with_truncation_note(path: &Path, mut problems: Vec<Diagnostic>) -> Vec<Diagnostic> {
+    if problems.len() >= MAX_DIAGNOSTICS {
+        problems.push(Diagnostic::for_file(path, format!("only the first {MAX_DIAGNOSTICS} errors are listed")));
     }
-    faults
+    problems
 }
 
 /// Removes the element at `span`; false if no element has it. `own` is the span of `table`.

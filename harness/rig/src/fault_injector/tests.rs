@@ -4,7 +4,7 @@ use super::*;
 use crate::link::{Link, LinkError, RealTimeLine};
 use crate::rigs::hosted::HostedLink;
 use crate::session::Session;
-use platebench_model::scenario::{Direction, FaultKind, Time};
+use platebench_model::scenario::{FaultKind, Time};
 use platebench_test_kit::CONFIGURE;
 use platebench_wire::{Command, ControllerState, Message, Packet, Sample, StateCause};
 use std::sync::{Arc, Mutex};

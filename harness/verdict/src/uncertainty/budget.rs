@@ -183,12 +183,12 @@ pub fn known_quantities() -> Vec<&'static str> {
 }
 
 impl Budget {
-    /// Returns the budget or all faults of the file. `quantities` are the accepted names.
+    /// Returns the budget or all problems of the file. `quantities` are the accepted names.
     pub fn load(path: &Path, quantities: &[&str]) -> Result<Self, Vec<Diagnostic>> {
         let (text, raw) = parse_file::<RawBudget>(path)?;
-        let mut checker = BudgetChecker { path, text: &text, quantities, faults: Vec::new() };
+        let mut checker = BudgetChecker { path, text: &text, quantities, problems: Vec::new() };
         let budget = checker.check(raw);
-        if checker.faults.is_empty() { Ok(budget) } else { Err(checker.faults) }
+        if checker.problems.is_empty() { Ok(budget) } else { Err(checker.problems) }
     }
 }
 
@@ -196,12 +196,12 @@ struct BudgetChecker<'a> {
     path: &'a Path,
     text: &'a str,
     quantities: &'a [&'a str],
-    faults: Vec<Diagnostic>,
+    problems: Vec<Diagnostic>,
 }
 
 impl BudgetChecker<'_> {
     fn report(&mut self, key: &str, message: String) {
-        self.faults.push(Diagnostic::at_key(self.path, self.text, key, message));
+        self.problems.push(Diagnostic::at_key(self.path, self.text, key, message));
     }
 
     fn check(&mut self, raw: RawBudget) -> Budget {
@@ -261,10 +261,10 @@ impl BudgetChecker<'_> {
         let key = |name: &str| format!("instrument.{number}.{name}");
         self.check_text(&key("name"), &raw.name);
         self.check_text(&key("serial"), &raw.serial);
-        let faults = self.faults.len();
+        let problems = self.problems.len();
         let calibrated = self.date(&key("calibrated"), &raw.calibrated);
         let due = self.date(&key("due"), &raw.due);
-        if due < calibrated && self.faults.len() == faults {
+        if due < calibrated && self.problems.len() == problems {
             self.report(
                 &key("due"),
                 format!("{due} is before the calibration on {calibrated}; expected the last day on which it is valid"),

@@ -120,7 +120,7 @@ impl<'a> Checker<'a> {
 
 /// Fails with all wrong keys or, if there are none, with the first wrong value.
 pub fn load_plate(path: &Path) -> Result<Plate, Vec<Diagnostic>> {
-    parse_plate(path, &read_text(path).map_err(|fault| vec![fault])?)
+    parse_plate(path, &read_text(path).map_err(|problem| vec![problem])?)
 }
 
 /// Values of the plate file that no ultrasonic tactile plate has, at their keys.
@@ -149,7 +149,7 @@ impl Checker<'_> {
         key: &str,
         path: &Path,
         inputs: &mut Vec<InputFile>,
-        faults: &mut Diagnostics,
+        problems: &mut Diagnostics,
     ) -> Option<Plate> {
         if let Some(known) = self.plates.iter().find(|known| known.path == path) {
             if !known.text.is_empty() {
@@ -158,13 +158,13 @@ impl Checker<'_> {
             return Some(known.plate.clone());
         }
         let text = match input::read(path) {
-            Ok(bytes) => faults.record_error(decode_text(path, bytes))?,
+            Ok(bytes) => problems.record_error(decode_text(path, bytes))?,
             Err(error) => {
                 let message = format!("plate file {} cannot be read: {error}", path.display());
-                return faults.record_error(self.error(key, message));
+                return problems.record_error(self.error(key, message));
             }
         };
-        let plate = parse_plate(path, &text).map_err(|found| faults.0.extend(found)).ok()?;
+        let plate = parse_plate(path, &text).map_err(|found| problems.0.extend(found)).ok()?;
         inputs.push(InputFile { path: path.to_owned(), bytes: text.into_bytes() });
         Some(plate)
     }

@@ -31,51 +31,51 @@ const MAX_EXPECTATIONS: usize = 2_000;
 
 impl Checker<'_> {
     pub(super) fn check(&self, raw: RawScenario, file: &str) -> Result<Scenario, Vec<Diagnostic>> {
-        let mut faults = Diagnostics::default();
-        let scenario = self.scenario(raw, file, &mut faults);
-        scenario.filter(|_| faults.0.is_empty()).ok_or(faults.0)
+        let mut problems = Diagnostics::default();
+        let scenario = self.scenario(raw, file, &mut problems);
+        scenario.filter(|_| problems.0.is_empty()).ok_or(problems.0)
     }
 
-    fn scenario(&self, raw: RawScenario, file: &str, faults: &mut Diagnostics) -> Option<Scenario> {
+    fn scenario(&self, raw: RawScenario, file: &str, problems: &mut Diagnostics) -> Option<Scenario> {
         let Source { path, text, case } = self.source;
         let folder = path.parent().unwrap_or_else(|| Path::new("."));
-        faults.record_error(self.one_line("title", &raw.title));
+        problems.record_error(self.one_line("title", &raw.title));
         if let Some(reason) = &raw.only_if_named {
-            faults.record_error(self.one_line("only_if_named", reason));
+            problems.record_error(self.one_line("only_if_named", reason));
         }
         let mut inputs = vec![InputFile { path: path.to_owned(), bytes: text.as_bytes().to_vec() }];
-        let trials = faults.record_error(self.trials(&raw.trials));
+        let trials = problems.record_error(self.trials(&raw.trials));
         let spread = raw.trials.spread;
-        let plate = self.plate("plate", &folder.join(&raw.plate), &mut inputs, faults);
+        let plate = self.plate("plate", &folder.join(&raw.plate), &mut inputs, problems);
         let source = SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
-        let scene = self.scene(folder, &source, plate.as_ref(), spread, &mut inputs, faults);
+        let scene = self.scene(folder, &source, plate.as_ref(), spread, &mut inputs, problems);
         let timing = scene.controller.as_ref().zip(scene.duration);
         let trace_step = timing.and_then(|(controller, duration)| {
-            faults.record_error(self.trace_step(raw.trace_step_ms, duration, controller.period))
+            problems.record_error(self.trace_step(raw.trace_step_ms, duration, controller.period))
         });
-        faults.record_error(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
+        problems.record_error(self.require(raw.expect.len() <= MAX_EXPECTATIONS, "expect", || {
             format!("{} [[expect]], expected at most {MAX_EXPECTATIONS}", raw.expect.len())
         }));
-        faults.record_error(self.require(
+        problems.record_error(self.require(
             !raw.expect.is_empty(),
             "expect",
             || "no [[expect]], expected at least one: a scenario that expects nothing cannot fail",
         ));
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
-        let model = plate.as_ref().and_then(|plate| faults.record_error(self.model(model, plate)));
-        let expected_exit = faults.record_error(self.expected_exit(raw.expected_exit));
-        let BetweenScene { controller, duration, setpoint, conditions } = scene;
+        let model = plate.as_ref().and_then(|plate| problems.record_error(self.model(model, plate)));
+        let expected_exit = problems.record_error(self.expected_exit(raw.expected_exit));
+        let SceneParts { controller, duration, setpoint, conditions } = scene;
         let (Some(controller), Some(duration), Some(setpoint), Some(conditions)) =
             (controller, duration, setpoint, conditions)
         else {
             return None;
         };
-        let count = faults.0.len();
+        let count = problems.0.len();
         let table = |list: &str, index: usize| self.table(&format!("{list}.{index}"));
         let mut planned =
             (0..).zip(&raw.fault).map(|(index, raw)| table("fault", index).fault(raw, duration, controller.period));
         let (mut line_faults, mut chip_faults) = (Vec::new(), Vec::new());
-        for fault in faults.record_errors(&mut planned) {
+        for fault in problems.record_errors(&mut planned) {
             match fault {
                 CheckedFault::Line(fault) => line_faults.push(fault),
                 CheckedFault::Chip(fault) => chip_faults.push(fault),
@@ -89,9 +89,9 @@ impl Checker<'_> {
         let mut expected = (0..)
             .zip(raw.expect.iter().zip(names))
             .map(|(index, (expect, name))| table("expect", index).expectation(expect, name, &trial));
-        let expected = faults.record_errors(&mut expected);
-        faults.record_error(self.check_names(&raw.expect, &expected));
-        if faults.0.len() > count {
+        let expected = problems.record_errors(&mut expected);
+        problems.record_error(self.check_names(&raw.expect, &expected));
+        if problems.0.len() > count {
             return None;
         }
         let mut scenario = Scenario {
@@ -121,15 +121,15 @@ impl Checker<'_> {
             setpoint,
             trials: trials?,
         };
-        faults.record_error(self.check_trial_differences(&scenario));
+        problems.record_error(self.check_trial_differences(&scenario));
         let is_compared = scenario.expects(Metric::ProtocolDifferences);
-        faults.record_error(self.check_messages(&scenario.messages, is_compared));
-        faults.record_error(self.check_own_law(&scenario));
-        scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, faults);
+        problems.record_error(self.check_messages(&scenario.messages, is_compared));
+        problems.record_error(self.check_own_law(&scenario));
+        scenario.between = self.scenes_between(folder, &raw.between, &scenario, &mut inputs, problems);
         let model = raw.model.as_deref().unwrap_or(AUTO_MODEL);
         let others = raw.other_trials.as_ref();
         scenario.other_trials = others
-            .and_then(|raw| self.other_trials(folder, (raw, model), &scenario, &mut inputs, faults))
+            .and_then(|raw| self.other_trials(folder, (raw, model), &scenario, &mut inputs, problems))
             .map(Box::new);
         Some(Scenario { inputs, ..scenario })
     }
@@ -211,7 +211,7 @@ pub(super) struct SceneSource<'a> {
 }
 
 /// Checked parts of a scene. A part with an error is `None`.
-pub(super) struct BetweenScene {
+pub(super) struct SceneParts {
     pub(super) controller: Option<Controller>,
     pub(super) duration: Option<Time>,
     pub(super) setpoint: Option<Profile>,
@@ -226,19 +226,19 @@ impl Checker<'_> {
         plate: Option<&Plate>,
         spread: Spread,
         inputs: &mut Vec<InputFile>,
-        faults: &mut Diagnostics,
-    ) -> BetweenScene {
+        problems: &mut Diagnostics,
+    ) -> SceneParts {
         let SceneSource { duration_ms, controller: raw, profile: profiles } = *source;
         let design_plate = raw.design_plate.as_ref().map(|file| (file, "controller.design_plate"));
-        let design_plate = design_plate.map(|(file, key)| self.plate(key, &folder.join(file), inputs, faults));
+        let design_plate = design_plate.map(|(file, key)| self.plate(key, &folder.join(file), inputs, problems));
         let is_complete = design_plate.as_ref().is_none_or(Option::is_some);
-        let controller = self.controller(raw, plate, design_plate.flatten(), faults).filter(|_| is_complete);
-        let duration = faults.record_error(self.time_from_ms("duration_ms", duration_ms));
+        let controller = self.controller(raw, plate, design_plate.flatten(), problems).filter(|_| is_complete);
+        let duration = problems.record_error(self.time_from_ms("duration_ms", duration_ms));
         if let (Some(controller), Some(duration)) = (&controller, duration) {
-            faults.record_error(self.require(duration >= controller.period, "duration_ms", || {
+            problems.record_error(self.require(duration >= controller.period, "duration_ms", || {
                 format!("{duration_ms} ms, expected at least one control period of {}", controller.period)
             }));
-            faults.record_error(self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
+            problems.record_error(self.require(controller.loop_delay < duration, "controller.loop_delay_ms", || {
                 format!(
                     "{}, expected less than the scenario's duration of {duration}: no command would act",
                     controller.loop_delay
@@ -247,20 +247,20 @@ impl Checker<'_> {
         }
         let length = duration.unwrap_or(Time::ZERO);
         let mut profile =
-            |key: &str, raw: &RawProfile| faults.record_error(self.profile(folder, key, raw, length, inputs));
+            |key: &str, raw: &RawProfile| problems.record_error(self.profile(folder, key, raw, length, inputs));
         let setpoint = profile("profile.setpoint_um", &profiles.setpoint_um);
         let temperature_offset_k = profile("profile.temperature_offset_k", &profiles.temperature_offset_k);
         let finger_force_n = profile("profile.finger_force_n", &profiles.finger_force_n);
         if let Some(setpoint) = &setpoint {
-            faults.record_error(self.check_setpoints(folder, profiles, setpoint));
+            problems.record_error(self.check_setpoints(folder, profiles, setpoint));
         }
         let conditions = temperature_offset_k.zip(finger_force_n);
         let conditions = conditions
             .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
         if let (Some(plate), Some(conditions)) = (plate, &conditions) {
-            faults.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
+            problems.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
         }
-        BetweenScene { controller, duration, setpoint, conditions }
+        SceneParts { controller, duration, setpoint, conditions }
     }
 
     /// The scene takes everything but plate, controller and profiles from `scenario`.
@@ -270,28 +270,28 @@ impl Checker<'_> {
         (raw, model): (&RawOtherTrials, &str),
         scenario: &Scenario,
         inputs: &mut Vec<InputFile>,
-        faults: &mut Diagnostics,
+        problems: &mut Diagnostics,
     ) -> Option<Scenario> {
         const TABLE: &str = "other_trials";
         let compares = scenario.expects(Metric::TrialDifference);
-        faults.record_error(self.require(compares, TABLE, || {
+        problems.record_error(self.require(compares, TABLE, || {
             let metric = Metric::TrialDifference;
             format!("no expectation of {metric}, expected at least one: nothing compares these trials with the first")
         }));
         let checker = self.table(TABLE);
         let plate = match &raw.plate {
-            Some(file) => checker.plate("plate", &folder.join(file), inputs, faults)?,
+            Some(file) => checker.plate("plate", &folder.join(file), inputs, problems)?,
             None => scenario.plate.clone(),
         };
         let duration_ms = scenario.duration.ms();
         let source = SceneSource { duration_ms, controller: &raw.controller, profile: &raw.profile };
-        let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, faults);
-        let model = faults.record_error(self.model(model, &plate))?;
+        let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, problems);
+        let model = problems.record_error(self.model(model, &plate))?;
         let controller = scene.controller?;
-        let later = faults.record_error(checker.time_from_ms("later_ms", raw.later_ms))?;
+        let later = problems.record_error(checker.time_from_ms("later_ms", raw.later_ms))?;
         let [period, duration] = [controller.period, scenario.duration].map(Time::as_nanos);
         let rest = Time::from_nanos(duration - (duration - 1) / period * period);
-        faults.record_error(checker.require(later <= rest, "later_ms", || {
+        problems.record_error(checker.require(later <= rest, "later_ms", || {
             format!("{later}, expected at most {rest}, the time from the last control instant to the end of the trial")
         }));
         let comparison = Comparison { amplitude_factor: raw.amplitude_factor, later };
@@ -314,20 +314,20 @@ impl Checker<'_> {
         raw: &[RawBetween],
         scenario: &Scenario,
         inputs: &mut Vec<InputFile>,
-        faults: &mut Diagnostics,
+        problems: &mut Diagnostics,
     ) -> Vec<Scenario> {
-        faults.record_error(self.require(raw.len() <= MAX_BETWEEN, "between", || {
+        problems.record_error(self.require(raw.len() <= MAX_BETWEEN, "between", || {
             format!("{} scenes, expected at most {MAX_BETWEEN}", raw.len())
         }));
         let mut between = |(index, raw): (usize, &RawBetween)| {
             let checker = self.table(&format!("between.{index}"));
             let plate = match &raw.plate {
-                Some(file) => checker.plate("plate", &folder.join(file), inputs, faults)?,
+                Some(file) => checker.plate("plate", &folder.join(file), inputs, problems)?,
                 None => scenario.plate.clone(),
             };
             let source =
                 SceneSource { duration_ms: raw.duration_ms, controller: &raw.controller, profile: &raw.profile };
-            let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, faults);
+            let scene = checker.scene(folder, &source, Some(&plate), scenario.trials.spread, inputs, problems);
             Some(Scenario {
                 file: format!("{}, between.{index}", scenario.file),
                 controller: scene.controller?,
@@ -353,30 +353,30 @@ impl Checker<'_> {
         raw: &RawController,
         plate: Option<&Plate>,
         design_plate: Option<Plate>,
-        faults: &mut Diagnostics,
+        problems: &mut Diagnostics,
     ) -> Option<Controller> {
-        let period = faults.record_error(self.period(raw));
+        let period = problems.record_error(self.period(raw));
         let delays = period.and_then(|period| {
-            let loop_delay = faults.record_error(self.loop_delay(raw, period));
-            loop_delay.zip(faults.record_error(self.design_delay(raw, period)))
+            let loop_delay = problems.record_error(self.loop_delay(raw, period));
+            loop_delay.zip(problems.record_error(self.design_delay(raw, period)))
         });
         let start_frequency_hz = plate
             .map(|plate| design_plate.as_ref().unwrap_or(plate))
-            .and_then(|plate| faults.record_error(self.start_frequency(raw, plate)));
+            .and_then(|plate| problems.record_error(self.start_frequency(raw, plate)));
         let optional = |key: &str, value: Option<f64>| value.map(|value| self.f32_range(key, value)).transpose();
         let key = "controller.frequency_range_hz";
-        let range = faults.record_error(optional(key, raw.frequency_range_hz));
-        let slew = faults.record_error(optional("controller.frequency_slew_hz", raw.frequency_slew_hz));
+        let range = problems.record_error(optional(key, raw.frequency_range_hz));
+        let slew = problems.record_error(optional("controller.frequency_slew_hz", raw.frequency_slew_hz));
         if let (Some(Some(range)), Some(start_frequency_hz)) = (range, start_frequency_hz) {
-            faults.record_error(self.require(range < start_frequency_hz, key, || {
+            problems.record_error(self.require(range < start_frequency_hz, key, || {
                 format!("{range} Hz, expected less than the start frequency of {start_frequency_hz:.1} Hz")
             }));
         }
         let law = raw.law.clone().unwrap_or_else(|| DEFAULT_LAW.to_owned());
         let is_named = !law.trim().is_empty();
-        faults.record_error(self.require(is_named, "controller.law", || "an empty name, expected a control law"));
-        let response_time_ms = faults.record_error(optional("controller.response_time_ms", raw.response_time_ms));
-        let gains = faults.record_error(raw.gains.map(|gains| self.gains(gains)).transpose());
+        problems.record_error(self.require(is_named, "controller.law", || "an empty name, expected a control law"));
+        let response_time_ms = problems.record_error(optional("controller.response_time_ms", raw.response_time_ms));
+        let gains = problems.record_error(raw.gains.map(|gains| self.gains(gains)).transpose());
         let ([loop_delay, loop_delay_jitter], design_delay) = delays?;
         Some(Controller {
             law,
