@@ -95,8 +95,8 @@ pub(super) struct Microcontroller {
 
 impl Microcontroller {
     /// Puts `bytes` on the line at `now`. Call it when the port has no deferred words.
-    pub(super) fn send(&mut self, bytes: &[u8], now: u64) {
-        if let Some(at) = self.port.start_receiving(bytes, now, self.mcu.bus(), self.slots) {
+    pub(super) fn send(&mut self, bytes: &[u8], now: u64, processor_sleeps: bool) {
+        if let Some(at) = self.port.start_receiving(bytes, now, processor_sleeps, self.mcu.bus(), self.slots) {
             self.mcu.bus_mut().drive(VirtualNanos(now), self.slots.usart).1.schedule(at);
         } else if let Some(wire) = self.port.wire() {
             wire.to_target.extend(bytes);

@@ -299,9 +299,10 @@ impl Machine {
     pub(super) fn send(&mut self, bytes: &[u8]) {
         self.transport_due_words();
         let now = VirtualNanos(self.now_ns());
+        let processor_sleeps = self.core.waiting();
         let part = &mut self.session.board_mut().part;
         part.continue_word_by_word(now.0);
-        part.send(bytes, now.0);
+        part.send(bytes, now.0, processor_sleeps);
         let instructions = self.core.retired();
         self.bus.deadline = self.session.resume(NO_DEADLINE, now, instructions, &mut self.bus);
         self.bus.notify_core(&mut *self.core);
