@@ -118,8 +118,8 @@ pub(super) struct SerialPort {
     clock_hz: u64,
     /// If false, all words pass one by one.
     uses_blocks: bool,
-    /// True if the processor slept at the last frame of the bench. One that polls may take an interrupt of a
-    /// block some instructions earlier or later than those of words.
+    /// True if the processor slept at the last frame of the bench. One that polls may take an
+    /// interrupt of a block some instructions earlier or later than those of words.
     processor_sleeps: bool,
     transfer: Transfer,
     block: Block,
