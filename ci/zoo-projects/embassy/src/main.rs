@@ -52,7 +52,7 @@ fn identity() -> Identity {
         laws: LawId::ALL.into_iter().fold(0, |laws, law| laws | 1 << law as u8),
         build: [0; 8],
         chip: 0,
-        unique: *embassy_stm32::uid::uid(),
+        unique: embassy_stm32::uid::uid(),
         name: *b"zoo-embassy\0\0\0\0\0",
     }
 }
