@@ -132,9 +132,11 @@ bool tick_is_pending(void)
 
 bool tick_take(void)
 {
-    bool was = tick;
+    if (!tick) {
+        return false; /* a tick from here on stays */
+    }
     tick = false;
-    return was;
+    return true;
 }
 
 #ifndef ANNOUNCED_LAWS

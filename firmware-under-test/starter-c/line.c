@@ -57,7 +57,9 @@ bool line_is_pending(void)
 size_t line_take(const uint8_t **bytes)
 {
     bool was_idle = idle;
-    idle = false;
+    if (was_idle) {
+        idle = false; /* only if it was set, so that no interrupt since then is lost */
+    }
     size_t written = (RING - DMA1_S5NDTR) % RING;
     size_t waiting = (written + RING - taken) % RING;
     if (waiting == 0 || (!was_idle && waiting < TAKE_WITHOUT_IDLE)) {

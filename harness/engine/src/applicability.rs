@@ -55,7 +55,7 @@ fn missing_chip_faults<L: Link>(
 }
 
 /// Metrics that only an emulated chip reports.
-const OF_THE_CHIP: [Metric; 2] = [Metric::StepTime, Metric::EnableOff];
+const OF_THE_CHIP: [Metric; 3] = [Metric::StepTime, Metric::EnableOff, Metric::Text];
 
 /// Returns why the rig cannot measure a metric of the chip, if the scenario expects it.
 fn missing_chip<L: Link>(
@@ -66,8 +66,15 @@ fn missing_chip<L: Link>(
     // The handshake was an exchange, so a rig that measures has a value.
     let mut measures = || session.link_mut().chip().is_some_and(|chip| chip.computing_time().is_some());
     let is_measured = is_lockstep && measures();
-    let expected = OF_THE_CHIP.into_iter().find(|metric| scenario.expects(*metric)).filter(|_| !is_measured)?;
-    Some(format!("{expected} needs the emulated chip and the clock lockstep"))
+    let expected = OF_THE_CHIP.into_iter().find(|metric| scenario.expects(*metric));
+    if let Some(metric) = expected.filter(|_| !is_measured) {
+        return Some(format!("{metric} needs the emulated chip and the clock lockstep"));
+    }
+    let mut has_text = || session.link_mut().chip().is_some_and(|chip| chip.firmware_output_reads().is_some());
+    let is_missing = scenario.expects(Metric::Text) && !has_text();
+    is_missing.then(|| {
+        format!("{} needs firmware that writes text by RTT: the variable _SEGGER_RTT, without defmt", Metric::Text)
+    })
 }
 
 /// Returns why no expectation of the scenario applies to the controller's own law.

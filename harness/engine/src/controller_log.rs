@@ -176,6 +176,23 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
+    /// What an emulated chip reports since the start of the trial, or for registers since power-on.
+    pub(crate) fn chip_telemetry<L: Link>(&self, session: &mut Session<FaultInjector<L>>) -> Telemetry {
+        let Some(chip) = session.link_mut().chip() else { return Telemetry::default() };
+        let defmt_frames = chip.defmt_frames();
+        Telemetry {
+            transport: Some(chip.transport()),
+            baud: Some(chip.baud()),
+            firmware_output: chip.firmware_output(),
+            firmware_output_reads: chip.firmware_output_reads().filter(|_| self.scenario.expects(Metric::Text)),
+            defmt_bytes: defmt_frames.as_ref().map(Vec::len),
+            defmt_frames,
+            unmodelled_instances: chip.unmodelled_instances(),
+            unused_fpu: chip.is_fpu_unused(),
+            ..Telemetry::default()
+        }
+    }
+
     pub(crate) fn telemetry<L: Link>(
         &self,
         session: &mut Session<FaultInjector<L>>,
@@ -200,10 +217,7 @@ impl<'a> ControllerLog<'a> {
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             scripts_not_decided: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.undecided.clone()),
-            transport: session.link_mut().chip().map(|chip| chip.transport()),
-            baud: session.link_mut().chip().map(|chip| chip.baud()),
-            firmware_output: session.link_mut().chip().and_then(|chip| chip.firmware_output()),
-            ..Telemetry::default()
+            ..self.chip_telemetry(session)
         }
     }
 }

@@ -458,6 +458,8 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         let now = self.plant.time();
         // The safe state at the end of the trial disables the amplifier, too.
         let enable_pin = self.session.link_mut().chip().map(|chip| chip.enable_pin());
+        let is_restarted = !self.chip.plan.faults.is_empty();
+        let before_restart = is_restarted.then(|| self.controller.chip_telemetry(self.session));
         if let Err(error) = self.restart_after_chip_faults() {
             self.link_error.get_or_insert(error);
         }
@@ -482,6 +484,13 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
             enable_pin,
             ..self.controller.telemetry(self.session, self.link_error.as_ref())
         };
+        if let Some(chip) = before_restart {
+            telemetry.firmware_output = chip.firmware_output;
+            telemetry.firmware_output_reads = chip.firmware_output_reads;
+            (telemetry.defmt_bytes, telemetry.defmt_frames) = (chip.defmt_bytes, chip.defmt_frames);
+            telemetry.unmodelled_instances = chip.unmodelled_instances;
+            telemetry.unused_fpu = chip.unused_fpu;
+        }
         if let Some(error) = &self.chip.stop {
             telemetry.stopped.get_or_insert(error.to_string());
         }

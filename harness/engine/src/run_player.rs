@@ -7,10 +7,10 @@ use crate::plan::RunError;
 use crate::run_recorder::RunRecorder;
 use crate::workers::{Emit, run_workers};
 use platebench_model::record::{
-    Event, FolderError, KeepTraces, Overrides, RunFolder, TrialRecord, Verdict, to_hex, trace_path,
+    Event, FolderError, KeepTraces, Overrides, RunFolder, TrialRecord, Verdict, defmt_path, to_hex, trace_path,
 };
 use platebench_model::scenario::Scenario;
-use platebench_model::trace::{Row, TraceError, TraceWriter};
+use platebench_model::trace::{AtPath as _, Row, TraceError, TraceWriter};
 use platebench_plate::Time;
 use platebench_rig::CancelToken;
 use platebench_verdict::{
@@ -20,6 +20,7 @@ use platebench_wire::LawId;
 use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeSet;
+use std::io::Write as _;
 use std::ops::{ControlFlow, Range};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -203,6 +204,9 @@ impl<'a> RunPlayer<'a> {
             timing.loop_delay_budget_us = boundary.map(|boundary| boundary.seconds() * 1e6);
         }
         let trace = trace_path(scenario.name(), index);
+        if let Some(frames) = played.telemetry.defmt_frames.take() {
+            write_frames(self.folder, &defmt_path(&trace), &frames)?;
+        }
         let measures = measure_trial(scenario, law, index, &played.trace_rows, &played.telemetry);
         let is_stored = match self.overrides.keep_traces {
             KeepTraces::All | KeepTraces::Worst(_) => true,
@@ -345,6 +349,12 @@ fn write_trace(folder: &RunFolder, trace: &str, rows: &[Row]) -> Result<[u8; 32]
     let mut writer = TraceWriter::create_in(folder.output(), trace)?;
     rows.iter().try_for_each(|row| writer.write(row))?;
     writer.finish()
+}
+
+fn write_frames(folder: &RunFolder, path: &str, frames: &[u8]) -> Result<(), FolderError> {
+    let mut file = folder.output().create_file(path)?;
+    file.write_all(frames).at(&folder.path().join(path))?;
+    Ok(file.commit_without_sync()?)
 }
 
 /// Keeps only the traces of the `count` trials with the smallest margins. Of two equal margins, the

@@ -34,7 +34,8 @@ pub mod record {
     };
     pub use run_folder::{
         CAMPAIGN_PLAN_FILE, FileLock, FolderError, JOURNAL_FILE, RECORD_FILE, RecordError, RunFolder, RunSummary,
-        ScenarioSummary, is_run_folder, newest_run, sha256, sha256_of_file, to_hex, trace_path, utc_timestamp,
+        ScenarioSummary, defmt_path, is_run_folder, newest_run, sha256, sha256_of_file, to_hex, trace_path,
+        utc_timestamp,
     };
     pub use run_record::{
         BoardDifference, ClockKind, FORMAT, Firmware, Host, InputRecord, JournalRecord, KeepTraces, MergeRecord,
@@ -42,7 +43,7 @@ pub mod record {
     };
     pub use trial_record::{
         CostChange, CostTrend, EarlierCost, MetricValues, NonFiniteDrive, OperatorRequest, Quantiles, RealPlateRecord,
-        StepCost, StepTime, Telemetry, TightestStep, TimingRecord, Transport, TrialRecord,
+        StepCost, StepTime, Telemetry, TightestStep, TimingRecord, Transport, TrialRecord, UnmodelledInstance,
     };
     pub use verdict::{BestResponse, Cause, Exclusion, Excuse, Verdict, VerdictCounts, Violation, ViolationKind};
 }

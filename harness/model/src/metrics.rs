@@ -5,6 +5,7 @@ mod control_instants;
 mod deviation;
 mod drive;
 mod enable_pin;
+mod firmware_text;
 mod input;
 mod last_row;
 mod measurement;
@@ -15,7 +16,7 @@ mod spec;
 mod window_mean;
 
 pub(crate) use input::band_around;
-pub use input::{EnablePin, MeasureInput, MetricSignal, RigReports, setpoint_steps};
+pub use input::{EnablePin, FirmwareLog, MeasureInput, MetricSignal, OutputRead, RigReports, setpoint_steps};
 pub use measurement::{Measure, Measurement, MissingValue, SignalPoint, UndefinedValue};
 pub use spec::{
     DriveBound, ElapsedLabels, Levels, LimitMarkSpec, MetricSpec, Subject, TrialRule, Unit, ValidIf, WindowRule,
@@ -65,6 +66,7 @@ metrics! {
     Overruns => control_instants::OVERRUNS,
     ShutdownTime => shutdown_time::SHUTDOWN_TIME,
     EnableOff => enable_pin::ENABLE_OFF,
+    Text => firmware_text::TEXT,
     MissedReplies => control_instants::MISSED_REPLIES,
     RipplePercent => ripple::PERCENT,
     Ripple => ripple::MICROMETRES,
@@ -89,6 +91,10 @@ impl Metric {
 
     pub const fn has_signal(self) -> bool {
         self.spec().takes_signal
+    }
+
+    pub const fn has_text(self) -> bool {
+        matches!(self, Self::Text)
     }
 
     pub const fn has_window_ms(self) -> bool {

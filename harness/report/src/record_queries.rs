@@ -1,14 +1,15 @@
 //! Finds keys, trials and missed expectations in a record.
 
-use platebench_model::quoted;
 use platebench_model::record::{
     Assessment, Cause, ClockKind, Exclusion, Excuse, ExpectationRecord, Limit, LoopSymptom, Metric, MissingShard,
     MissingValue, NotApplicable, NotPlayed, Reason, RunRecord, ScenarioRecord, Statistic, TrialFinding, TrialRecord,
-    Verdict, ViolationKind,
+    UnmodelledInstance, Verdict, ViolationKind, defmt_path,
 };
 use platebench_model::scenario::NotApplicableExpectation;
+use platebench_model::{quoted, quoted_path};
 use std::mem::{Discriminant, discriminant};
 use std::ops::Range;
+use std::path::Path;
 
 const MAX_PROTOCOL_DIFFERENCES: usize = 3;
 
@@ -254,6 +255,26 @@ pub(crate) fn symptoms(record: &RunRecord) -> impl Iterator<Item = (&ScenarioRec
 pub(crate) fn symptom_of(scenario: &ScenarioRecord) -> Option<(u32, LoopSymptom)> {
     let is_shown = |symptom: &LoopSymptom| scenario.verdict != Verdict::Pass || !symptom.explains_failures_only();
     scenario.trials.iter().find_map(|trial| Some((trial.index, trial.symptom.filter(is_shown)?)))
+}
+
+/// Command that decodes the frames of `defmt` of the first trial with a remark, or else of the
+/// first trial with frames.
+pub(crate) fn defmt_command(elf: &str, scenarios: &[ScenarioRecord]) -> Option<String> {
+    let trials = scenarios.iter().flat_map(|scenario| &scenario.trials);
+    let mut trials = trials.filter(|trial| trial.telemetry.defmt_bytes.is_some());
+    let trial = trials.clone().find(|trial| trial.reason.is_some()).or_else(|| trials.next())?;
+    let frames = defmt_path(&trial.trace);
+    Some(format!("defmt-print -e {} < {}", quoted_path(Path::new(elf)), quoted_path(Path::new(&frames))))
+}
+
+/// Names the instances of the emulated chip without a model that the firmware used.
+pub(crate) fn unmodelled_instances(record: &RunRecord) -> Option<String> {
+    let trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
+    let used = trials.map(|trial| &trial.telemetry.unmodelled_instances).max_by_key(|instances| instances.len())?;
+    let name = |used: &UnmodelledInstance| {
+        format!("{} ({}, accesses: {})", used.instance, used.registers.join(", "), used.accesses)
+    };
+    (!used.is_empty()).then(|| used.iter().map(name).collect::<Vec<_>>().join(", "))
 }
 
 /// Names the scripts of the protocol check that some trial did not play. `None` if all were played.

@@ -15,6 +15,7 @@ mod firmware_output;
 mod image;
 mod machine;
 mod memory;
+mod no_model;
 mod peripherals;
 mod post_mortem;
 mod serial_port;
@@ -38,8 +39,8 @@ use debugger::Debugger;
 use gdbstub::common::Signal;
 use image::{Image, catch_emulator_panic};
 use machine::{DebugStop, Machine};
-use platebench_model::metrics::EnablePin;
-use platebench_model::record::Transport;
+use platebench_model::metrics::{EnablePin, OutputRead};
+use platebench_model::record::{Transport, UnmodelledInstance};
 use platebench_wire::{EncodedFrame, MAX_ENCODED, Message, Packet};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -244,6 +245,7 @@ impl EmulatedLink {
             if self.target.now_ns() < at_ns && self.run_machine(at_ns)? {
                 return Ok(true);
             }
+            self.target.drain_output();
             self.chip_faults.apply_next(&mut self.target)?;
         }
         self.run_machine(until_ns)
@@ -309,12 +311,19 @@ impl EmulatedLink {
             .saturating_add(u64::try_from(self.chip_faults.chip_time(now).as_nanos()).unwrap_or(u64::MAX))
     }
 
+    /// The trial time of an instant on the chip's clock, s; 0 before the trial.
+    fn trial_seconds(&self, at_ns: u64) -> f64 {
+        let since_start = Duration::from_nanos(at_ns.saturating_sub(self.trial_start_ns));
+        self.chip_faults.trial_time(since_start).as_nanos() as f64 / 1e9
+    }
+
     /// Runs to the trial time `now`. If virtual time is already later, shifts the trial, because
     /// the plate waits for the firmware.
     fn catch_up(&mut self, now: Duration) -> Result<(), TargetError> {
         let wanted = self.virtual_ns(now);
         let ahead = self.target.now_ns().saturating_sub(wanted);
         self.trial_start_ns += ahead;
+        self.target.shift_records(ahead);
         self.run_to(wanted + ahead)
     }
 
@@ -449,8 +458,7 @@ impl Link for EmulatedLink {
 
     fn continue_trial(&mut self) {
         self.trial_start_ns = self.target.now_ns();
-        self.target.clear_output();
-        self.target.bus.enable_pin.start(self.target.now_ns());
+        self.target.start_records();
         // The history of the controller before the trial cannot be played again.
         self.calls.start(false);
     }
@@ -482,12 +490,27 @@ impl Chip for EmulatedLink {
 
     fn enable_pin(&self) -> EnablePin {
         let PinLog { was_high, low_since_ns, .. } = self.target.bus.enable_pin;
-        let seconds = |at_ns: u64| at_ns.saturating_sub(self.trial_start_ns) as f64 / 1e9;
-        EnablePin { was_high, low_from_s: low_since_ns.map(seconds) }
+        EnablePin { was_high, low_from_s: low_since_ns.map(|at_ns| self.trial_seconds(at_ns)) }
     }
 
     fn firmware_output(&self) -> Option<String> {
         self.target.firmware_output()
+    }
+
+    fn firmware_output_reads(&self) -> Option<Vec<OutputRead>> {
+        self.target.firmware_output_reads(|at_ns| self.trial_seconds(at_ns))
+    }
+
+    fn defmt_frames(&self) -> Option<Vec<u8>> {
+        self.target.defmt_frames()
+    }
+
+    fn unmodelled_instances(&self) -> Vec<UnmodelledInstance> {
+        self.target.unmodelled_instances()
+    }
+
+    fn is_fpu_unused(&self) -> bool {
+        self.target.is_fpu_unused()
     }
 
     fn set_transport(&mut self, transport: Transport) {

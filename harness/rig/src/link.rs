@@ -4,8 +4,8 @@
 use crate::crash_report::CrashReport;
 use crate::rejected_frame::RejectedFrame;
 use crate::symbols::CodeLocation;
-use platebench_model::metrics::EnablePin;
-use platebench_model::record::Transport;
+use platebench_model::metrics::{EnablePin, OutputRead};
+use platebench_model::record::{Transport, UnmodelledInstance};
 use platebench_model::scenario::ChipFaultKind;
 use std::fmt;
 use std::ops::DerefMut;
@@ -81,6 +81,18 @@ pub trait Chip {
 
     /// RTT text of the firmware in this trial; `None` without text or without an RTT block.
     fn firmware_output(&self) -> Option<String>;
+
+    /// When the bench read the parts of the text; `None` without an RTT block or with frames.
+    fn firmware_output_reads(&self) -> Option<Vec<OutputRead>>;
+
+    /// Frames of the crate `defmt` that the firmware wrote by RTT in this trial instead of text.
+    fn defmt_frames(&self) -> Option<Vec<u8>>;
+
+    /// Accesses since power-on to instances of the chip without a model.
+    fn unmodelled_instances(&self) -> Vec<UnmodelledInstance>;
+
+    /// True if the image is marked as hard float and all registers of the FPU are 0.
+    fn is_fpu_unused(&self) -> bool;
 
     /// True if the pin PB0, which enables the amplifier, is high. `None` if it was not high yet in
     /// this trial.

@@ -63,6 +63,8 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
             signal,
             band_percent: expectation.band_percent,
             comparison: expectation.comparison,
+            text: &expectation.text,
+            firmware_log: telemetry.firmware_log(),
             reports: telemetry.reports(),
         };
         let measurement = (spec.measure)(&input).unwrap_or_else(|unknown| Measure::Undefined(unknown).into());

@@ -26,6 +26,9 @@ const NEIGHBOUR: f64 = 0.05;
 const OPEN_LOOP: &str = "open-loop";
 
 pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<LoopSymptom> {
+    if telemetry.unused_fpu {
+        return Some(LoopSymptom::UnusedFpu);
+    }
     if telemetry.not_finite.is_some() {
         return Some(LoopSymptom::NotFinite);
     }

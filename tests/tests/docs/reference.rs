@@ -123,6 +123,7 @@ fn metric_table() -> String {
             (takes_after, "`after`"),
             (metric.has_window_ms(), "`window_ms`"),
             (metric.has_signal(), "`signal`"),
+            (metric.has_text(), "`text`"),
         ];
         let options: Vec<_> = options.iter().filter_map(|(has, name)| has.then_some(*name)).collect();
         let over = match spec.trials {

@@ -23,6 +23,10 @@ pub struct MeasureInput<'a> {
     pub signal: MetricSignal,
     pub band_percent: f64,
     pub comparison: Comparison,
+    /// Empty for metrics without the key `text`.
+    pub text: &'a str,
+    /// `None` on rigs that do not see the text of the firmware.
+    pub firmware_log: Option<FirmwareLog<'a>>,
     pub reports: RigReports,
 }
 
@@ -46,6 +50,25 @@ pub struct EnablePin {
     pub was_high: bool,
     /// Instant from which it is low to the end of the trial, s; `null` if it is high at the end.
     pub low_from_s: Option<f64>,
+}
+
+/// Text that the firmware wrote in a trial.
+#[derive(Debug, Clone, Copy)]
+pub struct FirmwareLog<'a> {
+    pub text: &'a str,
+    /// In the order of time. A remark of the bench may follow the text of the last one.
+    pub reads: &'a [OutputRead],
+}
+
+/// A part of the text, and the interval of time in which the firmware wrote it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct OutputRead {
+    /// End of the part, bytes from the start of the text.
+    pub end: usize,
+    /// Instant of the read before it, s. Text from before the trial has 0.
+    pub from_s: f64,
+    /// Instant of the read, s.
+    pub to_s: f64,
 }
 
 #[derive(Debug, Clone, Copy)]

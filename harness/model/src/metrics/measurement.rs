@@ -89,6 +89,8 @@ pub enum MissingValue {
     NeverEnabled,
     #[error("the pin PB0 is high at the end")]
     StaysEnabled,
+    #[error("the firmware did not write the text")]
+    NoText,
     #[error("the controller stopped before the window began")]
     StoppedBefore,
     #[error("the controller does not run at the end")]
@@ -100,7 +102,7 @@ pub enum MissingValue {
 impl MissingValue {
     /// True if the metric is the time of an event that did not happen.
     pub const fn is_not_reached(self) -> bool {
-        matches!(self, Self::NeverSettles | Self::NeverRecovers | Self::NotAtRest | Self::StaysEnabled)
+        matches!(self, Self::NeverSettles | Self::NeverRecovers | Self::NotAtRest | Self::StaysEnabled | Self::NoText)
     }
 }
 
@@ -130,6 +132,8 @@ pub enum UndefinedValue {
     EmptyWindow,
     #[error("the rig does not report this metric")]
     NotReported,
+    #[error("the bench keeps the first 16 KiB of the firmware's text, and the text is not in them")]
+    CutText,
     #[error("the true resonance of a real plate is not known")]
     UnknownResonance,
     #[error("the instant at which a person's hand disturbs a real plate is not known")]

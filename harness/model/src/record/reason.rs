@@ -56,6 +56,11 @@ pub enum LoopSymptom {
         "the amplitude stays off the setpoint and the drive does not move: no integral, or a period in another unit?"
     )]
     UnmovedDrive,
+    #[error(
+        "the image is marked as hard float, but no instruction of the FPU ran: a compiler without an FPU passes floats \
+         in core registers (zig cc: -mcpu=cortex_m4+vfp4d16sp)?"
+    )]
+    UnusedFpu,
 }
 
 impl LoopSymptom {
@@ -422,6 +427,8 @@ pub struct MetricDefinition {
     pub band_percent: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub signal: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub text: Option<String>,
 }
 
 impl MetricDefinition {
@@ -431,6 +438,7 @@ impl MetricDefinition {
             from_ms: expectation.from.filter(|_| metric.has_from_ms()).map(Time::ms),
             band_percent: metric.has_band().then_some(expectation.band_percent),
             signal: metric.has_signal().then(|| expectation.signal.to_owned()),
+            text: metric.has_text().then(|| expectation.text.clone()),
         }
     }
 }

@@ -127,6 +127,11 @@ pub fn trace_path(scenario: &str, index: u32) -> String {
     format!("{TRACES}/{scenario}/{index:03}.csv")
 }
 
+/// Path of the frames of `defmt` that belong to a trace.
+pub fn defmt_path(trace: &str) -> String {
+    format!("{}.defmt", trace.strip_suffix(".csv").unwrap_or(trace))
+}
+
 /// Order of runs. Runs of 0.3 have no number and come first; their clock orders them.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct RunOrder {

@@ -1,6 +1,6 @@
 //! Records the results of a trial: values, telemetry, step time and cost, lateness, real plate.
 
-use crate::metrics::{EnablePin, Metric, RigReports};
+use crate::metrics::{EnablePin, FirmwareLog, Metric, OutputRead, RigReports};
 use crate::record::reason;
 use crate::record::reason::{LoopSymptom, TrialReason};
 use crate::record::verdict::Cause;
@@ -102,6 +102,22 @@ pub struct Telemetry {
     /// Text that the firmware wrote by RTT.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub firmware_output: Option<String>,
+    /// Instants of `firmware_output`. Present if the scenario expects a text.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub firmware_output_reads: Option<Vec<OutputRead>>,
+    /// Bytes of the frames of `defmt` that the firmware wrote by RTT, in the file with the name of
+    /// the trace and the ending `.defmt`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub defmt_bytes: Option<usize>,
+    /// The frames, until the bench has written the file.
+    #[serde(skip)]
+    pub defmt_frames: Option<Vec<u8>>,
+    /// Instances of the emulated chip without a model that the firmware used.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unmodelled_instances: Vec<UnmodelledInstance>,
+    /// True if the image is marked as hard float and no instruction of the FPU ran.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub unused_fpu: bool,
     /// Number of messages that planned faults changed, by kind of fault.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub faults: BTreeMap<String, u64>,
@@ -128,7 +144,21 @@ pub enum Transport {
     BlocksAndWords,
 }
 
+/// Accesses to an instance of the emulated chip without a model. They change nothing in a trial.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct UnmodelledInstance {
+    pub instance: String,
+    pub registers: Vec<String>,
+    /// Number of reads and writes.
+    pub accesses: u64,
+}
+
 impl Telemetry {
+    pub fn firmware_log(&self) -> Option<FirmwareLog<'_>> {
+        let text = self.firmware_output.as_deref().unwrap_or_default();
+        self.firmware_output_reads.as_deref().map(|reads| FirmwareLog { text, reads })
+    }
+
     pub fn reports(&self) -> RigReports {
         RigReports {
             loop_delay_us: self.loop_delay_us,

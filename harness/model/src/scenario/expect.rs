@@ -97,6 +97,8 @@ pub struct Expectation {
     pub after: Option<ChangingProfile>,
     pub from: Option<Time>,
     pub signal: &'static str,
+    /// Empty for metrics without the key `text`.
+    pub text: String,
     pub comparison: Comparison,
 }
 
@@ -131,6 +133,7 @@ impl Expectation {
             band_percent: 5.0,
             from: None,
             signal: SIGNALS[0],
+            text: String::new(),
             comparison: Comparison::EQUAL,
         }
     }

@@ -342,13 +342,14 @@ pub struct RawFault {
 type MetricKey = (&'static str, fn(Metric) -> bool);
 
 /// Keys of an `[[expect]]` that apply to some metrics only.
-pub(crate) const METRIC_KEYS: [MetricKey; 9] = [
+pub(crate) const METRIC_KEYS: [MetricKey; 10] = [
     ("band_percent", Metric::has_band),
     ("from_ms", Metric::has_from_ms),
     ("until_ms", Metric::has_from_ms),
     ("after", has_any_after),
     ("window_ms", Metric::has_window_ms),
     ("signal", Metric::has_signal),
+    ("text", Metric::has_text),
     ("tolerance_percent", Metric::has_over),
     ("over", Metric::has_over),
     ("quantile", Metric::has_over),
@@ -415,6 +416,9 @@ pub struct RawExpectation {
     #[serde(default)]
     #[schemars(schema_with = "crate::scenario::schema::signals", extend("default" = DEFAULT_SIGNAL))]
     pub signal: Option<String>,
+    /// Text that the firmware writes, for `text_ms`.
+    #[schemars(length(min = 1))]
+    pub text: Option<String>,
 }
 
 #[derive(Debug, Clone, Copy, Serialize, Deserialize, JsonSchema)]

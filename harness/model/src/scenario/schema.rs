@@ -251,6 +251,8 @@ pub(crate) fn expectations(schema: &mut Schema) {
     rules.extend(with_window(WindowRule::Required).map(required_one_for_rule));
     let from_disturbance = with_window(WindowRule::FromDisturbance);
     rules.extend(from_disturbance.map(|metric| required_for_rule("metric", metric.name(), "from_ms")));
+    let with_text = Metric::ALL.iter().filter(|metric| metric.has_text());
+    rules.extend(with_text.map(|metric| required_for_rule("metric", metric.name(), "text")));
     add_rules(schema, rules);
 }
 

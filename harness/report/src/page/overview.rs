@@ -37,6 +37,9 @@ pub(super) fn head(record: &RunRecord) -> Markup {
         @if let Some(own) = record_queries::own_verdict_of_run(record) {
             p.notice { (verdict_badge(own.verdict, own.verdict.name())) " " (own.reason) }
         }
+        @if let Some(instances) = record_queries::unmodelled_instances(record) {
+            p.notice { "The emulated chip has no model of " (instances) ": the writes changed nothing." }
+        }
         @if !record.complete { p.notice { "The page shows the part that was played." } }
         @if record.verdict == Verdict::Pass {
             @for (scenario, ..) in record_queries::symptoms(record).take(MAX_NAMED) {

@@ -247,6 +247,9 @@ fn firmware_output(scenario: &ScenarioRecord) -> Markup {
     let trial = with_remark.or_else(|| scenario.trials.iter().find(has_output));
     let output = trial.and_then(|trial| Some((trial.index, trial.telemetry.firmware_output.as_ref()?)));
     html! {
+        @if let Some(command) = record_queries::defmt_command("ELF", std::slice::from_ref(scenario)) {
+            p { "Messages of the firmware by defmt: " code { (command) } }
+        }
         @if let Some((index, text)) = output {
             details {
                 summary { "Output of the firmware, trial " (index) }

@@ -169,6 +169,19 @@ fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: boo
                     --clock lockstep time waits for each answer";
         style.write_wrapped(text, "hint: ", "  ", hint);
     }
+    if let Some(instances) = record_queries::unmodelled_instances(record) {
+        let hint = format!("the emulated chip has no model of {instances}: the writes changed nothing");
+        style.write_wrapped(text, "hint: ", "  ", &hint);
+    }
+    let elf = record.rig.name.strip_prefix("emulated:").unwrap_or("ELF");
+    if let Some(command) = record_queries::defmt_command(elf, &record.scenarios) {
+        style.write_wrapped(
+            text,
+            "hint: ",
+            "  ",
+            &format!("the firmware logs by defmt; to read its messages: {command}"),
+        );
+    }
     if let Some(delay_ms) = record_queries::server_delay_ms(record) {
         let hint = format!(
             "every answer takes about {delay_ms:.1} ms, as behind a ser2net that collects characters, at any baud rate: \

@@ -114,7 +114,7 @@ pub(crate) fn passed_expectation(metric: &str, limit: (&str, Value), value: f64)
 }
 
 pub(crate) fn settling_definition(band_percent: f64, signal: &str) -> MetricDefinition {
-    MetricDefinition { from_ms: None, band_percent: Some(band_percent), signal: Some(signal.to_owned()) }
+    MetricDefinition { from_ms: None, band_percent: Some(band_percent), signal: Some(signal.to_owned()), text: None }
 }
 
 pub(crate) fn closed_loop() -> ScenarioRecord {

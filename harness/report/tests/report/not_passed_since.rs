@@ -143,8 +143,12 @@ fn compares_only_the_same_kind_of_rig_and_law() {
 fn names_how_the_earlier_expectation_differed(#[case] change: fn(&mut ExpectationRecord), #[case] expected: &str) {
     let runs = RunFolders::new();
     let defined = |record: &mut RunRecord| {
-        record.scenarios[0].expectations[0].definition =
-            MetricDefinition { from_ms: Some(20.0), band_percent: Some(5.0), signal: Some("amplitude_um".to_owned()) };
+        record.scenarios[0].expectations[0].definition = MetricDefinition {
+            from_ms: Some(20.0),
+            band_percent: Some(5.0),
+            signal: Some("amplitude_um".to_owned()),
+            text: None,
+        };
     };
     let now = runs.write("now", "2026-03-05T00:00:00Z", defined);
     let then = |record: &mut RunRecord| {

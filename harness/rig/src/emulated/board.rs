@@ -1,10 +1,12 @@
 //! Describes the emulated board: an STM32F427 with crystal, supply and the bench's wire on USART2.
 
+use super::no_model::InstancesWithoutModel;
 use super::peripherals::{Clocks, Peripherals};
 use super::serial_port::{DMA1, SerialPort, Slots, USART2};
 use rigless::chip::{Timeline, uart};
 use rigless::cpu::armv7m::windows;
 use rigless::device::{Device, ErasedDevice, ResetCause};
+use rigless::emulator::Access;
 use rigless::machine::{Board, Crystal, Target, armv7m};
 use rigless::mcu::{Mcu, Operate};
 use rigless::snapshot::{self, Reader, Store, Writer};
@@ -88,6 +90,7 @@ pub(super) struct Microcontroller {
     slots: Slots,
     clocks: usize,
     used: Box<[bool]>,
+    pub(super) without_model: InstancesWithoutModel,
     pub(super) booted: bool,
     /// True if the USART has not yet received all bytes of the bench.
     has_pending_bytes: bool,
@@ -95,8 +98,8 @@ pub(super) struct Microcontroller {
 
 impl Microcontroller {
     /// Puts `bytes` on the line at `now`. Call it when the port has no deferred words.
-    pub(super) fn send(&mut self, bytes: &[u8], now: u64) {
-        if let Some(at) = self.port.start_receiving(bytes, now, self.mcu.bus(), self.slots) {
+    pub(super) fn send(&mut self, bytes: &[u8], now: u64, processor_sleeps: bool) {
+        if let Some(at) = self.port.start_receiving(bytes, now, processor_sleeps, self.mcu.bus(), self.slots) {
             self.mcu.bus_mut().drive(VirtualNanos(now), self.slots.usart).1.schedule(at);
         } else if let Some(wire) = self.port.wire() {
             wire.to_target.extend(bytes);
@@ -137,8 +140,13 @@ impl Microcontroller {
         self.mcu.bus().slot_at(address).is_some()
     }
 
-    pub(super) fn mark_used(&mut self, address: u64) -> bool {
-        let Some(slot) = self.mcu.bus().slot_at(address) else { return false };
+    /// Call it before each access. Returns false if no instance is at its address.
+    pub(super) fn mark_used(&mut self, access: &Access) -> bool {
+        let bus = self.mcu.bus();
+        let Some(slot) = bus.slot_at(access.address) else { return false };
+        if let Some(entry) = bus.slots().get(slot) {
+            self.without_model.record(slot, entry.peripheral(), access);
+        }
         if let Some(used) = self.used.get_mut(slot) {
             *used = true;
         }
@@ -187,6 +195,7 @@ impl Mcu for Microcontroller {
         let by_window = matches!(cause, ResetCause::Model("WWDG"));
         let cause = if by_window { ResetCause::Model("IWDG") } else { cause };
         let before = self.reset_flags();
+        self.without_model.reset();
         let Self { mcu, port, peripherals, .. } = self;
         port.reset_chip(at.0, |usart| {
             let [_, inherited, ..] = &mut mcu.usart;
@@ -236,9 +245,20 @@ impl EmulatedBoard {
         let clocks = mcu.bus().slot("RCC")?;
         let used = vec![false; mcu.bus().slots().len()].into_boxed_slice();
         let port = SerialPort::new();
-        let peripherals = Peripherals::new(mcu.bus_mut())?;
-        let part =
-            Microcontroller { mcu, port, peripherals, slots, clocks, used, booted: false, has_pending_bytes: false };
+        let mut peripherals = Peripherals::new(mcu.bus_mut())?;
+        let has_model = |slot| mcu.split(slot).1.is_some() || peripherals.at(slot).is_some();
+        let without_model = InstancesWithoutModel::new((0..used.len()).map(has_model));
+        let part = Microcontroller {
+            mcu,
+            port,
+            peripherals,
+            slots,
+            clocks,
+            used,
+            without_model,
+            booted: false,
+            has_pending_bytes: false,
+        };
         Ok(Self { part })
     }
 
@@ -256,9 +276,9 @@ impl EmulatedBoard {
 
 impl Store for EmulatedBoard {
     fn store(&self, to: &mut Writer) -> Result<(), snapshot::Error> {
-        let Microcontroller { mcu, port, peripherals, slots: _, clocks: _, used, booted, has_pending_bytes } =
-            &self.part;
+        let Microcontroller { mcu, port, peripherals, used, without_model, booted, has_pending_bytes, .. } = &self.part;
         to.put(used)?;
+        without_model.store(to)?;
         to.put(booted)?;
         to.put(has_pending_bytes)?;
         mcu.store(to)?;
@@ -267,9 +287,10 @@ impl Store for EmulatedBoard {
     }
 
     fn load(&mut self, from: &mut Reader) -> Result<(), snapshot::Error> {
-        let Microcontroller { mcu, port, peripherals, slots: _, clocks: _, used, booted, has_pending_bytes } =
+        let Microcontroller { mcu, port, peripherals, used, without_model, booted, has_pending_bytes, .. } =
             &mut self.part;
         *used = from.take()?;
+        without_model.load(from)?;
         *booted = from.take()?;
         *has_pending_bytes = from.take()?;
         mcu.load(from)?;

@@ -62,6 +62,10 @@ impl PinLog {
         *self = Self { was_high: is_high, low_since_ns: (!is_high).then_some(now_ns) };
     }
 
+    pub(super) fn shift(&mut self, by_ns: u64) {
+        self.low_since_ns = self.low_since_ns.map(|since| since + by_ns);
+    }
+
     pub(super) fn record(&mut self, is_high: bool, now_ns: u64) {
         self.was_high |= is_high;
         self.low_since_ns = if is_high { None } else { self.low_since_ns.or(Some(now_ns)) };
@@ -297,7 +301,7 @@ impl CoreBus for BusGuard<'_> {
         }
         // If nothing is at the address, the chip raises a bus error. The emulator alone would
         // ignore the access.
-        let answers = self.session.board_mut().part.mark_used(access.address);
+        let answers = self.session.board_mut().part.mark_used(&access);
         if !answers && writable.is_none() {
             return None;
         }

@@ -45,6 +45,17 @@ impl ChipFaults {
         }
     }
 
+    /// The inverse of [`Self::chip_time`].
+    pub(super) fn trial_time(&self, chip_time: Duration) -> Duration {
+        match self.drift {
+            Some((from, ppm)) if chip_time > from => {
+                let since_ns = chip_time.saturating_sub(from).as_nanos() as f64 / (1.0 + ppm * PPM);
+                from + Duration::from_nanos(since_ns.round() as u64)
+            }
+            _ => chip_time,
+        }
+    }
+
     pub(super) fn next(&self) -> Option<Duration> {
         self.pending.front().map(|fault| fault.at)
     }
@@ -120,5 +131,23 @@ impl Machine {
         }
         self.bus.notify_core(&mut *self.core);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn trial_time_is_the_inverse_of_chip_time() {
+        let at = Duration::from_millis(40);
+        for (from_ms, ppm) in [(20, 20_000.0), (20, -20_000.0), (40, 20_000.0), (0, -1.0)] {
+            let drift = Some((Duration::from_millis(from_ms), ppm));
+            let faults = ChipFaults { drift, ..ChipFaults::default() };
+            let back = faults.trial_time(faults.chip_time(at));
+            assert!(back.abs_diff(at) <= Duration::from_nanos(1), "{from_ms} ms, {ppm} ppm: {back:?}");
+        }
+        let faults = ChipFaults { drift: Some((Duration::from_millis(20), 20_000.0)), ..ChipFaults::default() };
+        assert_eq!(faults.trial_time(Duration::from_micros(40_400)), at);
     }
 }

@@ -4,7 +4,7 @@
 use crate::debug_port::DebuggerError;
 use crate::link::TargetError;
 use object::LittleEndian;
-use object::read::elf::{ElfFile32, ProgramHeader as _};
+use object::read::elf::{ElfFile32, FileHeader as _, ProgramHeader as _};
 use platebench_model::trace::{MAX_IMAGE_BYTES, read_regular_file};
 use std::any::Any;
 use std::panic::AssertUnwindSafe;
@@ -72,6 +72,8 @@ pub(super) struct Image {
     pub(super) elf: Arc<[u8]>,
     pub(super) segments: Vec<Segment>,
     pub(super) initial_stack: u32,
+    /// True if the calls of the image pass floats in registers of the FPU, as its header says.
+    pub(super) is_hard_float: bool,
 }
 
 impl Image {
@@ -109,8 +111,9 @@ impl Image {
         if reset % 2 == 0 || word(u64::from(reset - 1) & !3).is_none() {
             return Err(ImageError::Reset(reset));
         }
+        let is_hard_float = file.elf_header().e_flags(LittleEndian) & object::elf::EF_ARM_ABI_FLOAT_HARD != 0;
         drop(file);
-        Ok(Self { elf, segments, initial_stack })
+        Ok(Self { elf, segments, initial_stack, is_hard_float })
     }
 }
 

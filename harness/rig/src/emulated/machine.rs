@@ -6,11 +6,13 @@ use super::firmware_output::FirmwareOutput;
 use super::image::{EmulatedOptions, FLASH_START, Image};
 use super::memory::{Memory, POWER_ON_FILL};
 use super::post_mortem::FaultHandlers;
-use super::{memory, post_mortem};
+use super::{memory, no_model, post_mortem};
 use crate::crash_report::StoppedAt;
 use crate::link::TargetError;
 use crate::symbols::{CodeLocation, Symbols};
 use gdbstub::stub::SingleThreadStopReason;
+use platebench_model::metrics::OutputRead;
+use platebench_model::record::UnmodelledInstance;
 use rigless::emulator::{Exit, Processor, Stop, StopReason};
 use rigless::machine::Board as _;
 use rigless::mcu::Operate as _;
@@ -26,6 +28,9 @@ const MAX_ROUNDS_WITHOUT_PROGRESS: u32 = 100_000;
 
 /// Time between two reads of the output of firmware that waits for room in it.
 const DRAIN_INTERVAL_NS: u64 = 100_000;
+
+/// Numbers of d0 to d15 and FPSCR in the order of a debugger.
+const FPU_REGISTERS: std::ops::RangeInclusive<usize> = 17..=33;
 
 /// Address of the vector table (ARMv7-M, B3.2.5).
 const VTOR: u64 = 0xE000_ED08;
@@ -268,7 +273,7 @@ impl Machine {
         self.bus.deadline = self.session.next_deadline();
         self.reported_resets = 0;
         self.is_faulted = false;
-        self.output.clear();
+        self.output.start(0);
         Ok(())
     }
 
@@ -299,9 +304,10 @@ impl Machine {
     pub(super) fn send(&mut self, bytes: &[u8]) {
         self.transport_due_words();
         let now = VirtualNanos(self.now_ns());
+        let processor_sleeps = self.core.waiting();
         let part = &mut self.session.board_mut().part;
         part.continue_word_by_word(now.0);
-        part.send(bytes, now.0);
+        part.send(bytes, now.0, processor_sleeps);
         let instructions = self.core.retired();
         self.bus.deadline = self.session.resume(NO_DEADLINE, now, instructions, &mut self.bus);
         self.bus.notify_core(&mut *self.core);
@@ -331,8 +337,9 @@ impl Machine {
         self.run_without_drain(until_ns)
     }
 
-    fn drain_output(&mut self) {
-        if self.output.drain(&mut self.bus.memory) {
+    pub(super) fn drain_output(&mut self) {
+        let now_ns = self.now_ns();
+        if self.output.drain(&mut self.bus.memory, now_ns) {
             self.bus.notify_core(&mut *self.core);
         }
     }
@@ -401,8 +408,26 @@ impl Machine {
         self.output.text(&self.bus.memory)
     }
 
-    pub(super) fn clear_output(&mut self) {
-        self.output.clear();
+    pub(super) fn defmt_frames(&self) -> Option<Vec<u8>> {
+        self.output.frames(&self.bus.memory)
+    }
+
+    /// `seconds` converts the time of the chip.
+    pub(super) fn firmware_output_reads(&self, seconds: impl Fn(u64) -> f64) -> Option<Vec<OutputRead>> {
+        self.output.reads(&self.bus.memory, self.now_ns(), seconds)
+    }
+
+    /// Starts the records of a trial.
+    pub(super) fn start_records(&mut self) {
+        let now_ns = self.now_ns();
+        self.output.start(now_ns);
+        self.bus.enable_pin.start(now_ns);
+    }
+
+    /// Moves the records of the trial with its start.
+    pub(super) fn shift_records(&mut self, by_ns: u64) {
+        self.output.shift(by_ns);
+        self.bus.enable_pin.shift(by_ns);
     }
 
     pub(super) fn watch(&mut self, addresses: &BTreeSet<u32>) {
@@ -428,6 +453,16 @@ impl Machine {
         self.has_own_image = false;
         self.bus.notify_core(&mut *self.core);
         stored
+    }
+
+    pub(super) fn unmodelled_instances(&self) -> Vec<UnmodelledInstance> {
+        no_model::count(self.session.unimplemented().values())
+    }
+
+    /// See [`crate::Chip::is_fpu_unused`].
+    pub(super) fn is_fpu_unused(&self) -> bool {
+        let is_zero = |number| self.core.gdb_register(number).is_none_or(|bytes| bytes.iter().all(|byte| *byte == 0));
+        self.image.is_hard_float && FPU_REGISTERS.into_iter().all(is_zero)
     }
 
     pub(super) fn used_instances(&self) -> Vec<&'static str> {

@@ -160,23 +160,17 @@ pub(super) fn first_unsupported_access(
     if let Some(UnmodelledAccess { what, address, instruction }) = &bus.unmodelled {
         return unsupported((*what).to_owned(), *address, instruction.and_then(place));
     }
-    if let Some((&address, access)) = session.unimplemented().first_key_value() {
-        let kind = match (access.reads, access.writes) {
-            (_, 0) => "read",
-            (0, _) => "written",
-            _ => "read and written",
-        };
-        return unsupported(
-            format!("{}.{} {kind}", access.instance, access.register),
-            address,
-            place(access.program_counter),
+    let doubtful = part.without_model.doubtful_read;
+    let doubtful = doubtful.and_then(|(address, pc)| Some((address, pc, session.unimplemented().get(&address)?)));
+    if let Some((address, pc, access)) = doubtful {
+        let what = format!(
+            "{}.{} read after a write to {0}, a board may return another value",
+            access.instance, access.register
         );
+        return unsupported(what, address, place(pc));
     }
     if let Some(access) = session.unmapped().first() {
-        let what = match part.instance_at(access.address) {
-            Some(instance) => format!("{instance}, no such register"),
-            None => "no peripheral or memory".to_owned(),
-        };
+        let what = format!("{}, no such register", part.instance_at(access.address).unwrap_or("memory"));
         return unsupported(what, access.address, place(access.program_counter));
     }
     let first_refused =
@@ -186,14 +180,6 @@ pub(super) fn first_unsupported_access(
     }
     if let Some((&address, fault)) = session.refused().first_key_value() {
         return unsupported(fault.to_string(), address, None);
-    }
-    if let Some((&address, access)) = session.undefined().first_key_value() {
-        let what = format!("{}, a register that the manual does not define", access.instance);
-        return unsupported(what, address, place(access.program_counter));
-    }
-    if let Some((instance, number)) = session.unrouted().first() {
-        let what = format!("interrupt {number} of {instance} is not connected");
-        return Some(UnsupportedAccess { access: what, address: None, place: None });
     }
     let report = session.told().min_by_key(|told| told.at)?;
     let access = format!("{}.{}: {}", report.instance, report.register, report.reason);

@@ -118,6 +118,9 @@ pub(super) struct SerialPort {
     clock_hz: u64,
     /// If false, all words pass one by one.
     uses_blocks: bool,
+    /// True if the processor slept at the last frame of the bench. One that polls may take an
+    /// interrupt of a block some instructions earlier or later than those of words.
+    processor_sleeps: bool,
     transfer: Transfer,
     block: Block,
     /// Writes to the data register at the last instant at which there was one.
@@ -134,6 +137,7 @@ impl SerialPort {
             usart,
             clock_hz: HSI_HZ,
             uses_blocks: false,
+            processor_sleeps: false,
             transfer: Transfer::None,
             block: Block::None,
             written: (0, Vec::new()),
@@ -150,6 +154,7 @@ impl SerialPort {
     /// Starts a trial on an idle line.
     pub(super) fn start(&mut self, uses_blocks: bool) {
         self.uses_blocks = uses_blocks;
+        self.processor_sleeps = false;
         self.has_used_blocks = false;
         self.transfer = Transfer::None;
         self.block = Block::None;
@@ -198,7 +203,15 @@ impl SerialPort {
 
     /// Starts to transport `bytes` from the bench as a block. Returns the instant at which the port
     /// needs an event, or `None` if the words must pass one by one.
-    pub(super) fn start_receiving(&mut self, bytes: &[u8], now: u64, bus: &Bus, slots: Slots) -> Option<VirtualNanos> {
+    pub(super) fn start_receiving(
+        &mut self,
+        bytes: &[u8],
+        now: u64,
+        processor_sleeps: bool,
+        bus: &Bus,
+        slots: Slots,
+    ) -> Option<VirtualNanos> {
+        self.processor_sleeps = processor_sleeps;
         let (usart, dma) = (slots.usart(bus)?, slots.dma(bus)?);
         let word_ns = self.word_ns(usart)?;
         self.check_block();
@@ -208,6 +221,7 @@ impl SerialPort {
         let (mask, value) = stream::RECEIVING;
         let stream = dma.get(Dma::S5cr);
         let is_possible = self.uses_blocks
+            && processor_sleeps
             && matches!(self.transfer, Transfer::None)
             && is_idle
             && bytes.len() > MIN_BLOCK
@@ -236,7 +250,11 @@ impl SerialPort {
     ) -> Option<()> {
         let (usart, dma) = (slots.usart(bus)?, slots.dma(bus)?);
         let (mask, value) = stream::SENDING;
-        if !self.uses_blocks || self.has_deferred_words() || dma.get(Dma::S6cr) & mask != value {
+        if !self.uses_blocks
+            || !self.processor_sleeps
+            || self.has_deferred_words()
+            || dma.get(Dma::S6cr) & mask != value
+        {
             return None;
         }
         let word_ns = self.word_ns(usart)?;

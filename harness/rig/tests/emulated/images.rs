@@ -5,27 +5,27 @@ use platebench_rig::emulated::{EmulatedOptions, ImageError};
 use platebench_rig::{EmulatedError, EmulatedLink, TargetError};
 use std::path::Path;
 
-const CLASS: usize = 4;
+pub(super) const CLASS: usize = 4;
 const DATA: usize = 5;
-const KIND: usize = 16;
-const MACHINE: usize = 18;
-const EABI_FLAGS: usize = 36;
+pub(super) const KIND: usize = 16;
+pub(super) const MACHINE: usize = 18;
+pub(super) const EABI_FLAGS: usize = 36;
 const PROGRAM_HEADERS: usize = 28;
 
-fn half(elf: &mut [u8], at: usize, value: u16) {
+pub(super) fn half(elf: &mut [u8], at: usize, value: u16) {
     elf[at..at + 2].copy_from_slice(&value.to_le_bytes());
 }
 
-fn word(elf: &[u8], at: usize) -> u32 {
+pub(super) fn word(elf: &[u8], at: usize) -> u32 {
     u32::from_le_bytes(*elf[at..].first_chunk().unwrap())
 }
 
-fn set_word(elf: &mut [u8], at: usize, value: u32) {
+pub(super) fn set_word(elf: &mut [u8], at: usize, value: u32) {
     elf[at..at + 4].copy_from_slice(&value.to_le_bytes());
 }
 
 /// Returns the file offsets of the program header of the segment with `address`, and of that byte.
-fn segment(elf: &[u8], address: u32) -> (usize, usize) {
+pub(super) fn segment(elf: &[u8], address: u32) -> (usize, usize) {
     let first = word(elf, PROGRAM_HEADERS) as usize;
     let header = (0..8).map(|index| first + 32 * index).find(|&at| {
         let from = word(elf, at + 12);
@@ -35,9 +35,25 @@ fn segment(elf: &[u8], address: u32) -> (usize, usize) {
     (header, (word(elf, header + 4) + address - word(elf, header + 12)) as usize)
 }
 
-fn image_error(change: impl FnOnce(&mut Vec<u8>)) -> ImageError {
+pub(super) fn change_image(change: impl FnOnce(&mut Vec<u8>)) -> Vec<u8> {
     let mut elf = image("platebench-stm32f4.elf");
     change(&mut elf);
+    elf
+}
+
+/// Changes the load address of the segment with the vector table.
+pub(super) fn link_to(elf: &mut [u8], address: u32) {
+    let (header, _) = segment(elf, 0x0800_0000);
+    set_word(elf, header + 12, address);
+}
+
+pub(super) fn set_vector(elf: &mut [u8], number: usize, value: u32) {
+    let (_, table) = segment(elf, 0x0800_0000);
+    set_word(elf, table + 4 * number, value);
+}
+
+pub(super) fn image_error(change: impl FnOnce(&mut Vec<u8>)) -> ImageError {
+    let elf = change_image(change);
     match EmulatedLink::new(&elf, EmulatedOptions::default()) {
         Err(EmulatedError::Image(error)) => error,
         other => panic!("{other:?}"),
@@ -83,26 +99,15 @@ fn rejects_damaged_files_without_a_panic() {
 
 #[test]
 fn rejects_an_image_linked_elsewhere() {
-    let error = image_error(|elf| {
-        let (header, _) = segment(elf, 0x0800_0000);
-        set_word(elf, header + 12, 0x2000_0000);
-    });
+    let error = image_error(|elf| link_to(elf, 0x2000_0000));
     assert!(matches!(error, ImageError::Misplaced { address: 0x2000_0000, .. }), "{error:?}");
-    let behind_a_bootloader = image_error(|elf| {
-        let (header, _) = segment(elf, 0x0800_0000);
-        set_word(elf, header + 12, 0x0810_0000);
-    });
+    let behind_a_bootloader = image_error(|elf| link_to(elf, 0x0810_0000));
     assert_eq!(behind_a_bootloader, ImageError::NoVectors);
 }
 
 #[test]
 fn rejects_an_invalid_vector_table() {
-    let vector = |number: usize, value| {
-        image_error(move |elf| {
-            let (_, table) = segment(elf, 0x0800_0000);
-            set_word(elf, table + 4 * number, value);
-        })
-    };
+    let vector = |number: usize, value| image_error(move |elf| set_vector(elf, number, value));
     assert_eq!(vector(0, 0), ImageError::Stack(0));
     assert_eq!(vector(0, 0x2000_4001), ImageError::Stack(0x2000_4001));
     assert_eq!(vector(1, 0x0800_0200), ImageError::Reset(0x0800_0200));

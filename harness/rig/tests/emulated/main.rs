@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
 mod debugger;
+mod documented_messages;
 mod equivalence;
 mod faults;
 mod images;

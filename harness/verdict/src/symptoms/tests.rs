@@ -98,8 +98,10 @@ fn names_a_likely_cause(#[case] rows: Vec<Row>, #[case] expected: Option<LoopSym
 }
 
 #[test]
-fn a_drive_that_is_not_finite_comes_first() {
+fn an_unused_fpu_comes_before_a_drive_that_is_not_finite() {
     let telemetry = Telemetry { not_finite: Some(NonFiniteDrive { at_s: 0.012, count: 3 }), ..Telemetry::default() };
     let rows = controlled_rows(0.0, 0.0, 0.0);
     assert_eq!(detect_symptom(&scenario(), &rows, &telemetry), Some(LoopSymptom::NotFinite));
+    let without_fpu = Telemetry { unused_fpu: true, ..telemetry };
+    assert_eq!(detect_symptom(&scenario(), &rows, &without_fpu), Some(LoopSymptom::UnusedFpu));
 }

@@ -50,6 +50,7 @@ pub(crate) fn record() -> RunRecord {
             from_ms: Some(20.0),
             band_percent: Some(1.0),
             signal: Some("amplitude_um".to_owned()),
+            text: None,
         },
         evidence: Evidence {
             method: Some(EvidenceMethod::ClopperPearson),

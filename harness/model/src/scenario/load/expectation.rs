@@ -66,6 +66,12 @@ impl Checker<'_> {
         self.one_line("name", &name)?;
         let column = raw.signal.as_deref().unwrap_or(DEFAULT_SIGNAL);
         let signal = self.find_by_name("signal", "unknown signal ", column, SIGNALS.map(|signal| (signal, signal)))?;
+        self.require(raw.text.is_some() || !metric.has_text(), "metric", || {
+            format!("{metric} without `text`, expected the text that the firmware writes")
+        })?;
+        if let Some(text) = &raw.text {
+            self.one_line("text", text)?;
+        }
         let (after, windows) = self.windows(raw, metric, trial)?;
         let tolerance_percent = raw.tolerance_percent.unwrap_or(DEFAULT_TOLERANCE_PERCENT);
         Ok(Expectation {
@@ -82,6 +88,7 @@ impl Checker<'_> {
             band_percent: raw.band_percent.unwrap_or(DEFAULT_BAND_PERCENT),
             from: raw.from_ms.and_then(Time::from_ms),
             signal,
+            text: raw.text.clone().unwrap_or_default(),
             comparison: Comparison::EQUAL,
         })
     }

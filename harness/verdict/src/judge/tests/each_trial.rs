@@ -161,7 +161,7 @@ fn a_stopped_controller_fails() {
     let expect: Vec<String> = Metric::ALL
         .iter()
         .filter(|metric| {
-            let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies, Metric::EnableOff];
+            let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies, Metric::EnableOff, Metric::Text];
             !matches!(metric, Metric::Overruns | Metric::RestDrive) && !of_the_line.contains(metric)
         })
         .map(|metric| {

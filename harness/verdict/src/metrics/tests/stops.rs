@@ -13,7 +13,7 @@ fn a_stopped_controller_has_no_values() {
         protocol_differences: Some(Vec::new()),
         ..EMPTY_TELEMETRY
     };
-    let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies, Metric::EnableOff];
+    let of_the_line = [Metric::ShutdownTime, Metric::MissedReplies, Metric::EnableOff, Metric::Text];
     let others = || Metric::ALL.iter().copied().filter(|metric| !of_the_line.contains(metric));
     for metric in others().filter(|metric| *metric != Metric::QuadratureRatio) {
         let measure = measure(&expectation_with_from(metric, 0.0), &trace, &reported);
@@ -129,6 +129,7 @@ fn unknown_quantities_of_a_real_plate_are_undefined() {
                 | Metric::Overruns
                 | Metric::MissedReplies
                 | Metric::EnableOff
+                | Metric::Text
                 | Metric::LoopDelay
                 | Metric::InstructionsPerStep
                 | Metric::StepTime

@@ -1,5 +1,5 @@
 use super::*;
-use platebench_model::metrics::EnablePin;
+use platebench_model::metrics::{EnablePin, OutputRead};
 use platebench_model::record::StepTime;
 
 #[test]
@@ -123,6 +123,34 @@ fn saturation_is_time_weighted() {
     ] {
         assert!(matches!(measure_of(unreported, &trace), Measure::Undefined(_)));
     }
+}
+
+/// The firmware writes "boot", "ready" in two parts from 1 to 3 ms, and "ready" from 4 to 5 ms.
+#[rstest]
+#[case::start("boot", [0.0, 9.0], Measure::Value(0.0))]
+#[case::start_is_no_answer_to_a_later_fault("boot", [0.5, 9.0], Measure::Missing(MissingValue::NoText))]
+#[case::interval("ready", [0.5, 9.0], Measure::Interval([1.5, 2.5]))]
+#[case::first_part("rea", [0.5, 9.0], Measure::Interval([0.5, 1.5]))]
+#[case::written_before_the_end_of_its_part("ready", [2.5, 9.0], Measure::Interval([0.0, 0.5]))]
+#[case::next_after_the_read("ready", [3.0, 9.0], Measure::Interval([1.0, 2.0]))]
+#[case::within_the_window("ready", [3.0, 4.000_001], Measure::Interval([1.0, 2.0]))]
+#[case::after_the_window("ready", [3.0, 4.0], Measure::Missing(MissingValue::NoText))]
+#[case::never("steady", [0.0, 9.0], Measure::Missing(MissingValue::NoText))]
+#[case::remark_of_the_bench("cut", [0.0, 9.0], Measure::Undefined(UndefinedValue::CutText))]
+fn finds_a_text_of_the_firmware(#[case] text: &str, #[case] window_ms: [f64; 2], #[case] expected: Measure) {
+    let trace = trace_at([0.0, 9.0], |_| 2.0, |_| 2.0);
+    let read = |end, from_s, to_s| OutputRead { end, from_s, to_s };
+    let reads = vec![read(4, 0.0, 0.0), read(7, 0.001, 0.002), read(9, 0.002, 0.003), read(14, 0.004, 0.005)];
+    let end = if text == "cut" { " (cut)" } else { "" };
+    let telemetry = Telemetry {
+        firmware_output: Some(format!("bootreadyready{end}")),
+        firmware_output_reads: Some(reads),
+        ..EMPTY_TELEMETRY
+    };
+    let text = text.to_owned();
+    let expectation = Expectation { text, ..expectation_in(Metric::Text, &[window_ms]) };
+    assert_eq!(measure(&expectation, &trace, &telemetry), expected);
+    assert_eq!(measure(&expectation, &trace, &EMPTY_TELEMETRY), Measure::Undefined(UndefinedValue::NotReported));
 }
 
 #[rstest]

@@ -40,6 +40,9 @@ fn message_table(cases: &[(&str, &str)]) -> String {
     table
 }
 
+/// The expectation of the base scenario that cases replace by another one.
+const FINAL: &str = "\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0";
+
 #[rstest]
 #[case::head(&[
     ("\"All keys\"", "\" \""),
@@ -189,7 +192,7 @@ fn message_table(cases: &[(&str, &str)]) -> String {
     ("factor = 0.9", "factor = 0.9\ndirection = \"both\""),
     ("kind = \"disconnect\"", "kind = \"disconnect\"\nevery = 2"),
     ("kind = \"disconnect\"", "kind = \"disconnect\"\nreconfigure = true"),
-    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"shutdown_time_ms\"\nat_most = 5.0"),
+    (FINAL, "\"shutdown_time_ms\"\nat_most = 5.0"),
 ])]
 #[case::expectations(&[
     ("\"settling_time_ms\"", "\"settling_time\""),
@@ -208,14 +211,14 @@ fn message_table(cases: &[(&str, &str)]) -> String {
     ("tolerance_percent = 3.0", "tolerance_percent = 0.0"),
     ("tolerance_percent = 3.0", "band_percent = 3.0"),
     ("tolerance_percent = 3.0", "window_ms = 3.0"),
-    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"loop_delay_us\"\nat_most = 5.0\nfrom_ms = 3.0"),
+    (FINAL, "\"loop_delay_us\"\nat_most = 5.0\nfrom_ms = 3.0"),
     ("tolerance_percent = 3.0", "signal = \"wd_um\""),
     ("paper = 2.0", "tolerance_percent = 2.0"),
     ("paper = 2.0", "paper = inf"),
     ("\"final_amplitude_um\"\nabout = 2.0", "\"repeatability_percent\"\nabout = 1.3"),
-    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"recovery_time_ms\"\nat_most = 5.0"),
-    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"saturated_percent\"\nat_most = 100.0"),
-    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0", "\"saturated_percent\"\nat_least = 100.1"),
+    (FINAL, "\"recovery_time_ms\"\nat_most = 5.0"),
+    (FINAL, "\"saturated_percent\"\nat_most = 100.0"),
+    (FINAL, "\"saturated_percent\"\nat_least = 100.1"),
     ("band_percent = 5.0", "band_percent = 0.0"),
     ("band_percent = 5.0", "band_percent = 100.0"),
     ("confidence = 0.9", "confidence = 0.49"),
@@ -227,8 +230,12 @@ fn message_table(cases: &[(&str, &str)]) -> String {
     ("confidence = 0.9", "over = \"mean\"\nquantile = 0.9"),
     ("confidence = 0.9", "over = \"quantile\"\nquantile = 0.0"),
     ("confidence = 0.9", "over = \"quantile\"\nquantile = 1.0"),
-    ("\"final_amplitude_um\"\nabout = 2.0\ntolerance_percent = 3.0",
+    (FINAL,
         "\"repeatability_percent\"\nabout = 1.3\nover = \"mean\""),
+    (FINAL, "\"text_ms\"\nat_most = 5.0\ntext = \"ready\""),
+    (FINAL, "\"text_ms\"\nat_most = 5.0\nfrom_ms = 3.0"),
+    (FINAL, "\"text_ms\"\nat_most = 5.0\nfrom_ms = 3.0\ntext = \"\""),
+    (FINAL, "\"enable_off_ms\"\nat_most = 5.0\nfrom_ms = 3.0\ntext = \"ready\""),
     ("from_ms = 1.0", "from_ms = 60.0"),
     ("from_ms = 1.0", "from_ms = -1.0"),
     ("signal = \"amplitude_um\"", "signal = \"amplitude\""),
