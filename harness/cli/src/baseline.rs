@@ -1,21 +1,21 @@
 //! `platebench baseline`: accepts, reviews, lists and compares golden traces.
 
+use crate::compare::{self, DiffArgs, count_verdicts};
 use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{BASELINES, OutputFormat, parse_number};
 use crate::{prompt, stdio};
 use clap::{Args, Subcommand};
-use platebench_document::Document;
-use platebench_document::format::count;
+use platebench_document::{Block, Document};
 use platebench_engine::comparison::{
-    BaselineAcceptError, CompareError, ScenarioTrials, build_baseline, check_acceptable, compare_with_tubes,
+    BaselineAcceptError, CompareError, Reference, ScenarioTrials, build_baseline, check_acceptable,
     read_scenario_trials,
 };
 use platebench_engine::rejudge;
-use platebench_model::quoted;
 use platebench_model::record::{FileLock, RunRecord, ScenarioRecord, Verdict};
 use platebench_model::trace::{create_folder, missing_folders, remove_empty_folders};
-use platebench_report::comparison::{comparison_blocks, tube_plot_document};
-use platebench_verdict::golden::{Baseline, BaselineBuild, ResponseFeatures};
+use platebench_report::comparison::{ScenarioComparison, tube_plot};
+use platebench_report::format::exceedance;
+use platebench_verdict::golden::{Baseline, JudgedResponse};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -45,8 +45,8 @@ enum BaselineAction {
     },
     /// Show each difference with a drawing, and ask: accept, reject or skip
     Review(ReviewArgs),
-    /// List what accepting a run would change
-    Diff(ReviewArgs),
+    /// List what accepting a run would change: `compare RUN baseline`
+    Diff(DiffArgs),
 }
 
 #[derive(Debug, Args)]
@@ -68,7 +68,7 @@ fn parse_share(text: &str) -> Result<f64, String> {
 pub(crate) fn baseline(arguments: &BaselineArgs) -> CommandResult {
     match &arguments.action {
         BaselineAction::List { run, baselines } => list_baselines(run.as_deref(), baselines),
-        BaselineAction::Diff(arguments) => review(arguments, Action::Show),
+        BaselineAction::Diff(arguments) => compare::diff(arguments),
         BaselineAction::Accept(arguments) => review(arguments, Action::Accept),
         BaselineAction::Review(arguments) => review(arguments, Action::Ask),
     }
@@ -76,7 +76,6 @@ pub(crate) fn baseline(arguments: &BaselineArgs) -> CommandResult {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Action {
-    Show,
     Accept,
     Ask,
 }
@@ -91,28 +90,25 @@ const CHOICES: [(&str, &str); 4] = [
 fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
     let ReviewArgs { run, baselines, false_alarm_rate: rate } = arguments;
     // Only verdicts from the traces count, because the verdicts in run.json may have been edited.
-    let record = if action == Action::Show { RunRecord::read(run).or_invalid()? } else { rejudge(run, None)? };
-    let (record, rate) = (&record, *rate);
+    let record = &rejudge(run, None)?;
+    let rate = *rate;
     if record.scenarios.is_empty() {
         return Err(Failure::new(Exit::NothingToRun, &"the run contains no scenario, so there is nothing to review"));
     }
     // One process at a time writes the folder, so that its files are of one run.
-    let _lock = (action != Action::Show).then(|| lock_baselines(baselines)).transpose()?;
-    let (mut invalid, mut verdicts, mut compared, mut has_quit) = (false, Vec::new(), false, false);
+    let _lock = lock_baselines(baselines)?;
+    let (mut invalid, mut verdicts, mut has_quit) = (false, Vec::new(), false);
     for scenario in &record.scenarios {
-        let trials = read_scenario_trials(run, scenario);
         let old = Baseline::read(baselines, &scenario.file).map_err(CompareError::from);
         let reviewed = old.map_err(BaselineAcceptError::from).and_then(|old| {
-            compared |= old.is_some();
-            let show = || print_difference(record, scenario, &trials, old.as_ref(), rate);
-            let accept = || accept_scenario(record, scenario, &trials, old.as_ref(), baselines, rate);
+            let candidate = Candidate { record, scenario, trials: read_scenario_trials(run, scenario), old };
+            let accept = || candidate.accept(baselines, rate);
             match action {
-                Action::Show => Ok(show()?),
                 Action::Accept => accept(),
-                Action::Ask => match show()? {
+                Action::Ask => match candidate.show_difference()? {
                     Verdict::Pass => Ok(Verdict::Pass),
                     found => {
-                        print_drawings(&trials, old.as_ref())?;
+                        candidate.print_drawings()?;
                         // After `quit`, and at the end of the input, the others are not decided.
                         let answer = if has_quit { None } else { prompt::ask_choice(&CHOICES) };
                         has_quit = matches!(answer, None | Some("quit"));
@@ -132,15 +128,6 @@ fn review(arguments: &ReviewArgs, action: Action) -> CommandResult {
                 invalid = true;
             }
         }
-    }
-    if !invalid && !compared && action == Action::Show {
-        let message = format!(
-            "nothing was compared: {} has no golden trace for this run. Name another folder with --baselines, or \
-             create golden traces: `platebench baseline review {}`",
-            baselines.display(),
-            run.display()
-        );
-        return Err(Failure::new(Exit::NothingToRun, &message));
     }
     let exit = if invalid { Exit::Invalid } else { Exit::of_verdict(Verdict::combine(verdicts.iter().copied())) };
     if exit != Exit::Passed {
@@ -173,108 +160,77 @@ fn lock_baselines(folder: &Path) -> Result<BaselinesLock, Failure> {
     Ok(BaselinesLock { created, _lock: lock })
 }
 
-/// `words` follow the numbers of passed, failed and inconclusive scenarios.
-pub(crate) fn count_verdicts(verdicts: &[Verdict], words: [&str; 3]) -> String {
-    let parts = [Verdict::Pass, Verdict::Fail, Verdict::Inconclusive].into_iter().zip(words).map(|(wanted, words)| {
-        let number = verdicts.iter().filter(|verdict| **verdict == wanted).count();
-        format!("{number} {words}")
-    });
-    format!("of {}, {}", count(verdicts.len(), "scenario"), parts.collect::<Vec<_>>().join(", "))
+/// The responses of a scenario, and those that were accepted before.
+struct Candidate<'a> {
+    record: &'a RunRecord,
+    scenario: &'a ScenarioRecord,
+    trials: ScenarioTrials,
+    old: Option<Baseline>,
 }
 
-fn print_difference(
-    record: &RunRecord,
-    scenario: &ScenarioRecord,
-    trials: &ScenarioTrials,
-    old: Option<&Baseline>,
-    rate: f64,
-) -> Result<Verdict, CompareError> {
-    let Some(old) = old else {
-        stdio::show(&format!("? new  {}\n", scenario.file));
-        return Ok(Verdict::Inconclusive);
-    };
-    let compared = compare_with_tubes(&old.golden, trials)?;
-    let new = build_baseline(record, scenario, trials, Some(old), rate);
-    let changes = new.map(|new| describe_changes(old, &new)).unwrap_or_default();
-    let blocks = comparison_blocks(&scenario.file, &compared, changes);
-    stdio::document(&Document::new("Differences from the baseline", blocks));
-    Ok(compared.verdict)
-}
-
-/// Draws the signals outside their tubes, for the first trial that has such a signal.
-fn print_drawings(trials: &ScenarioTrials, old: Option<&Baseline>) -> Result<(), CompareError> {
-    let Some(old) = old else { return Ok(()) };
-    for trial in &trials.trials {
-        let rows = trial.rows()?;
-        let outside = old.golden.exceedances(&rows);
-        for worst in &outside {
-            let Some(tube) = old.golden.tubes.iter().find(|tube| tube.signal == worst.signal) else { continue };
-            stdio::document(&tube_plot_document(tube, &rows, trial.index, worst));
-        }
-        if !outside.is_empty() {
-            break;
-        }
+impl Candidate<'_> {
+    /// `None` if there is no baseline.
+    fn compare(&self) -> Result<Option<ScenarioComparison>, CompareError> {
+        let judged = Some((self.record, self.scenario));
+        let old = self.old.clone().map(Reference::from);
+        old.map(|old| compare::compare_scenario(&old, judged, &self.trials)).transpose()
     }
-    Ok(())
-}
 
-fn accept_scenario(
-    record: &RunRecord,
-    scenario: &ScenarioRecord,
-    trials: &ScenarioTrials,
-    old: Option<&Baseline>,
-    baselines: &Path,
-    rate: f64,
-) -> Result<Verdict, BaselineAcceptError> {
-    if scenario.verdict != Verdict::Pass {
-        stdio::show(&format!("✗ not accepted  {}: it did not pass ({})\n", scenario.file, scenario.verdict));
-        return Ok(scenario.verdict);
-    }
-    check_acceptable(record, trials)?;
-    let new = build_baseline(record, scenario, trials, old, rate)?;
-    let lines = match old {
-        Some(old) if old.to_texts() == new.to_texts() => vec![format!("✓ unchanged  {}", scenario.file)],
-        Some(old) => {
-            let mut lines = vec![format!("✓ accepted  {}", scenario.file)];
-            lines.extend(describe_changes(old, &new));
-            let compared = compare_with_tubes(&old.golden, trials)?;
-            lines.extend(
-                compared
-                    .worst
-                    .map(|(trial, worst)| format!("  {}", platebench_report::format::exceedance(trial, &worst))),
-            );
-            lines
-        }
-        None => vec![format!("✓ accepted  {}  (new, {})", scenario.file, format_features(&new.features))],
-    };
-    new.write(baselines).map_err(CompareError::from)?;
-    stdio::show(&(lines.join("\n") + "\n"));
-    Ok(Verdict::Pass)
-}
-
-fn describe_changes(old: &Baseline, new: &Baseline) -> Vec<String> {
-    let number = |value: Option<f64>| value.map_or_else(|| "none".to_owned(), |value| value.to_string());
-    let mut lines = Vec::new();
-    if old.law != new.law {
-        lines.push(format!("  law: {} → {}", old.law, new.law));
-    }
-    if old.build != new.build {
-        let describe = |build: &BaselineBuild| {
-            format!("{} {} on {}", quoted(&build.firmware), quoted(&build.id), quoted(&build.rig))
+    fn show_difference(&self) -> Result<Verdict, CompareError> {
+        let Some(compared) = self.compare()? else {
+            stdio::show(&format!("? new  {}\n", self.scenario.file));
+            return Ok(Verdict::Inconclusive);
         };
-        lines.push(format!("  build: {} → {}", describe(&old.build), describe(&new.build)));
+        stdio::document(&Document::new("Differences from the baseline", compared.blocks()));
+        Ok(compared.comparison.verdict)
     }
-    for ((name, before), (_, after)) in old.features.by_name().into_iter().zip(new.features.by_name()) {
-        if before != after {
-            lines.push(format!("  {name}: {} → {}", number(before), number(after)));
+
+    /// Draws the signals outside their tubes, for the first trial that has such a signal.
+    fn print_drawings(&self) -> Result<(), CompareError> {
+        let Some(old) = &self.old else { return Ok(()) };
+        for trial in &self.trials.trials {
+            let rows = trial.rows()?;
+            let outside = old.golden.exceedances(&rows);
+            for worst in &outside {
+                let Some(tube) = old.golden.tubes.iter().find(|tube| tube.signal == worst.signal) else { continue };
+                let place = format!("  {}", exceedance(trial.index, worst));
+                let lines = std::iter::once(place).chain(tube_plot(tube, &rows, worst));
+                stdio::document(&Document::new("Response outside its tolerance tube", vec![Block::lines(lines)]));
+            }
+            if !outside.is_empty() {
+                break;
+            }
         }
+        Ok(())
     }
-    lines
+
+    fn accept(&self, baselines: &Path, rate: f64) -> Result<Verdict, BaselineAcceptError> {
+        let Self { record, scenario, trials, old } = self;
+        if scenario.verdict != Verdict::Pass {
+            stdio::show(&format!("✗ not accepted  {}: it did not pass ({})\n", scenario.file, scenario.verdict));
+            return Ok(scenario.verdict);
+        }
+        check_acceptable(record, trials)?;
+        let new = build_baseline(record, scenario, trials, old.as_ref(), rate)?;
+        let is_unchanged = old.as_ref().is_some_and(|old| old.to_texts() == new.to_texts());
+        let lines = match self.compare()? {
+            _ if is_unchanged => vec![format!("✓ unchanged  {}", scenario.file)],
+            Some(ScenarioComparison { comparison, changes, .. }) => {
+                let worst = comparison.worst.iter().map(|(trial, worst)| format!("  {}", exceedance(*trial, worst)));
+                let accepted = format!("✓ accepted  {}", scenario.file);
+                std::iter::once(accepted).chain(changes.lines()).chain(worst).collect()
+            }
+            None => vec![format!("✓ accepted  {}  (new{})", scenario.file, format_values(&new.response))],
+        };
+        new.write(baselines).map_err(CompareError::from)?;
+        stdio::show(&(lines.join("\n") + "\n"));
+        Ok(Verdict::Pass)
+    }
 }
 
-fn format_features(features: &ResponseFeatures) -> String {
-    let known = features.by_name().into_iter().filter_map(|(name, value)| Some(format!("{name} {}", value?)));
-    known.collect::<Vec<_>>().join(", ")
+/// Each value after a comma.
+fn format_values(response: &JudgedResponse) -> String {
+    response.values.iter().flatten().map(|(name, value)| format!(", {name} {value}")).collect()
 }
 
 fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {
@@ -298,12 +254,8 @@ fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {
                     )
                 });
                 let learned = learned.unwrap_or_default();
-                format!(
-                    "✓ {name}: {}, {} ({}){learned}",
-                    baseline.law,
-                    format_features(&baseline.features),
-                    baseline.build.firmware
-                )
+                let JudgedResponse { law, build, .. } = &baseline.response;
+                format!("✓ {name}: {law}{} ({}){learned}", format_values(&baseline.response), build.firmware)
             }
         };
         stdio::show(&format!("{line}\n"));

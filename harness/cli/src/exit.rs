@@ -63,7 +63,7 @@ impl Exit {
     }
 
     /// The sign before the verdict in every text.
-    fn sign(self) -> &'static str {
+    pub(crate) fn sign(self) -> &'static str {
         sign(match self {
             Self::Passed => Verdict::Pass,
             Self::Failed => Verdict::Fail,

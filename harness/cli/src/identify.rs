@@ -5,18 +5,23 @@ use crate::exit::{CommandResult, Exit, Failure, OrInvalid};
 use crate::options::{OutputFormat, parse_number};
 use crate::stdio;
 use clap::{Args, ValueEnum};
+use jiff::Timestamp;
+use jiff::civil::Date;
+use jiff::tz::TimeZone;
 use platebench_design::identified_plate::{
     ParameterUncertainty, PlateFileDetails, document, parameter_uncertainties, plate_file,
 };
 use platebench_design::identify::{DirectFit, Identification};
+use platebench_design::plate_history::{HistoryAnalysis, HistoryEntry, HistoryError, PlateHistory};
 use platebench_document::format::count;
 use platebench_document::{Block, Figure};
 use platebench_lab::boards::Board;
 use platebench_model::external_csv::{self, ColumnMapping, Dialect};
 use platebench_model::quoted_path;
+use platebench_model::record::sha256_of_file;
 use platebench_model::recording::{Recording, RecordingError};
 use platebench_model::scenario::load::parse_plate;
-use platebench_model::trace::{MAX_TABLE_BYTES, open_regular_file, write_new};
+use platebench_model::trace::{MAX_TABLE_BYTES, TraceError, open_regular_file, write_new};
 use platebench_report::FitChart;
 use platebench_verdict::uncertainty::{Budget, known_quantities};
 use schemars::JsonSchema;
@@ -32,11 +37,12 @@ const MAX_DRAWN_RECORDINGS: usize = 12;
 Examples:
   platebench run scenarios/identify --out runs/plate
   platebench identify runs/plate --out plate.toml --drive-limit-vpp 900 --page identification.html
+  platebench identify runs/plate --name P7 --history plates/P7.jsonl --page history.html
   platebench identify telemetry.csv --columns time=t:ms,drive=V:Vpp,frequency=f:Hz,wd=Wd:nm,wq=Wq:nm
 
 Columns: ROLE=COLUMN:UNIT; roles and units: time (s, ms, us), drive (Vpp, V for an amplitude),
 frequency (Hz, kHz, rad/s), wd and wq (um, nm, m, peak to peak; -nm reverses the sign), temperature
-(K above the reference) and force (N).
+(K above the reference) and force (N). 0.5*um is 0.5 µm per unit of the column; ROLE==NUMBER:UNIT is a constant.
 
 Exit codes: 0 identified, 2 unusable input, 3 the input does not determine the plate or is doubtful, 4 no recording")]
 pub(crate) struct IdentifyArgs {
@@ -61,9 +67,16 @@ pub(crate) struct IdentifyArgs {
     /// file states the reasons
     #[arg(long, alias = "even-if-doubtful")]
     force: bool,
-    /// Name of the plate in its file
-    #[arg(long, default_value = "identified plate")]
-    name: String,
+    /// Name of the plate in its file and its history; default: identified plate
+    #[arg(long)]
+    name: Option<String>,
+    /// Add the estimates to the history of the plate of --name, a file of JSON lines, and test them
+    /// for drift
+    #[arg(long, value_name = "FILE", requires = "name", value_parser = stdio::parse_named_file)]
+    history: Option<PathBuf>,
+    /// Date of the recordings, for --history; default: today, UTC
+    #[arg(long, value_name = "YYYY-MM-DD", requires = "history", value_parser = parse_date)]
+    date: Option<Date>,
     #[command(flatten)]
     board: BoardSelection,
     /// Reference temperature of the offsets
@@ -105,12 +118,40 @@ fn parse_temperature(text: &str) -> Result<f64, String> {
     parse_number(text, |value| value.is_finite() && value > -273.15, "a temperature above -273.15")
 }
 
+fn parse_date(text: &str) -> Result<Date, String> {
+    text.parse().map_err(|_| "expected a date like 2026-03-02".to_owned())
+}
+
 #[derive(Serialize, JsonSchema)]
 pub(crate) struct IdentifyOutput<'a> {
     #[serde(flatten)]
     found: &'a Identification,
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     uncertainties: &'a [ParameterUncertainty],
+    /// Test of the plate's history for drift.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    history: Option<HistoryAnalysis>,
+}
+
+impl IdentifyArgs {
+    fn name(&self) -> &str {
+        self.name.as_deref().unwrap_or("identified plate")
+    }
+
+    fn history_entry(&self, found: &Identification, recordings: &[PathBuf]) -> Result<HistoryEntry, Failure> {
+        let date = self.date.unwrap_or_else(|| Timestamp::now().to_zoned(TimeZone::UTC).date());
+        let digest = |path: &PathBuf| -> Result<(String, String), Failure> {
+            Ok((path.display().to_string(), sha256_of_file(path).or_invalid_at(path)?))
+        };
+        let recordings = recordings.iter().map(digest).collect::<Result<_, _>>()?;
+        Ok(HistoryEntry::new(self.name(), date, self.reference_temperature_c, found, recordings))
+    }
+}
+
+impl From<HistoryError> for Failure {
+    fn from(error: HistoryError) -> Self {
+        Self::invalid(&error)
+    }
 }
 
 pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
@@ -140,6 +181,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     if let Some(path) = arguments.out.as_ref().filter(|path| path.exists() && !stdio::is_stdout(path)) {
         return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));
     }
+    let history = arguments.history.as_deref().map(PlateHistory::read).transpose()?;
     let recordings = files.iter().map(|file| read_recording(file, arguments)).collect::<Result<Vec<_>, _>>()?;
     let identified = platebench_design::identify::identify(&recordings, arguments.slope_hz_per_k);
     let (found, fits) = identified.map_err(|error| match error {
@@ -149,8 +191,16 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     let budget = arguments.budget.as_deref().map(|path| Budget::load(path, &known_quantities())).transpose()?;
     let uncertainties = budget.map(|budget| parameter_uncertainties(&found, &budget)).transpose();
     let uncertainties = uncertainties.or_invalid()?.unwrap_or_default();
-    let mut document = document(&format!("Identification: {}", arguments.name), &found, &uncertainties);
-    let output = IdentifyOutput { found: &found, uncertainties: &uncertainties };
+    let mut document = document(&format!("Identification: {}", arguments.name()), &found, &uncertainties);
+    let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
+    // The estimates of a doubtful identification are not those of the plate.
+    let entry = history.as_ref().filter(|_| exit == Exit::Passed).map(|_| arguments.history_entry(&found, &files));
+    let entry = entry.transpose()?;
+    let history = history.zip(entry.clone()).map(|(history, entry)| history.with(entry)).transpose();
+    let extended = history.as_ref().ok().and_then(Option::as_ref);
+    document.blocks.extend(extended.into_iter().flat_map(PlateHistory::blocks));
+    let analysis = extended.map(PlateHistory::analysis);
+    let output = IdentifyOutput { found: &found, uncertainties: &uncertainties, history: analysis };
     match arguments.format {
         OutputFormat::Human => stdio::show_beside(to_stdout > 0, &stdio::console_text(&document)),
         OutputFormat::Json => stdio::show_json(&output),
@@ -168,9 +218,16 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     for warning in &found.warnings {
         stdio::note(&format!("warning: {warning}"));
     }
-    let exit = if found.inconsistencies.is_empty() { Exit::Passed } else { Exit::Inconclusive };
     for inconsistency in &found.inconsistencies {
         exit.show_reason(&format!("doubtful: {inconsistency}"));
+    }
+    if let Some(path) = &arguments.history {
+        history?;
+        match entry {
+            Some(entry) => PlateHistory::append(path, entry)?,
+            None => stdio::note(&format!("{}: not added, because the identification is doubtful", quoted_path(path))),
+        }
+        output.history.iter().flat_map(HistoryAnalysis::drifts).for_each(|drift| stdio::note(&drift));
     }
     let Some(path) = &arguments.out else { return Ok(exit) };
     if exit != Exit::Passed && !arguments.force {
@@ -179,7 +236,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         return Err(Failure::new(exit, &message));
     }
     let details = PlateFileDetails {
-        name: arguments.name.clone(),
+        name: arguments.name().to_owned(),
         source: describe_source(arguments, &recordings, board.as_ref()),
         reference_temperature_c: arguments.reference_temperature_c,
         limit_vpp: arguments.drive_limit_vpp,
@@ -247,7 +304,11 @@ fn read_recording(path: &Path, arguments: &IdentifyArgs) -> Result<Recording, Fa
         SignalSource::True => platebench_model::recording::SampleSource::True,
     };
     let rows = platebench_model::trace::read_trace(path);
-    let rows = rows.map_err(|error| Failure::invalid(&format!("{error}{}", proposed_columns(path))))?;
+    let rows = rows.map_err(|error| {
+        let has_other_titles = matches!(error, TraceError::Content { line: 1, .. });
+        let hint = if has_other_titles { proposed_columns(path) } else { String::new() };
+        Failure::invalid(&format!("{error}{hint}"))
+    })?;
     Recording::from_trace(name, &rows, signal).or_invalid_at(path)
 }
 
@@ -260,12 +321,13 @@ pub(crate) fn note_dialect(path: &Path, dialect: Option<Dialect>) {
 
 fn proposed_columns(path: &Path) -> String {
     let file = open_regular_file(path, MAX_TABLE_BYTES).ok();
-    file.and_then(external_csv::propose_columns).map_or_else(String::new, |columns| {
+    let proposed = file.and_then(external_csv::propose_columns).map(|columns| {
         format!(
-            "\nA table of another program needs --columns. From its titles: --columns '{columns}'; write units that \
-             say peak to peak, peak or RMS in place of UNIT"
+            " From its titles: --columns '{columns}'; write units that say peak to peak, peak or RMS in place of UNIT"
         )
-    })
+    });
+    let otherwise = " `platebench identify --help` lists roles and units";
+    format!("\nA table of another program needs --columns.{}", proposed.as_deref().unwrap_or(otherwise))
 }
 
 fn figures(recordings: &[Recording], found: &Identification, fits: &[DirectFit]) -> Vec<Figure> {

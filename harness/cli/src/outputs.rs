@@ -1,13 +1,13 @@
-//! Writes the result of a run for other programs: Markdown summary and annotations on GitHub.
+//! Writes the result of a run or a comparison for other programs: Markdown summary and annotations on GitHub.
 
 use crate::exit::Exit;
 use crate::options::OutputFormat;
 use crate::stdio::{self, is_stdout};
 use clap::{Args, ValueEnum};
 use platebench_engine::RunPlan;
-use platebench_model::record::{RunRecord, ScenarioRecord};
+use platebench_model::record::ScenarioRecord;
 use platebench_model::scenario::number_in_file;
-use platebench_model::trace::{FileError, OutputFolder};
+use platebench_model::trace::{FileError, OutputFolder, write_named_by_user};
 use platebench_report::github::{self, SourceLocation};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -76,10 +76,11 @@ impl Outputs {
         self.summary.as_deref().is_some_and(is_stdout)
     }
 
-    pub(crate) fn write(&self, record: &RunRecord, locations: &ScenarioLocations) -> Result<(), FileError> {
+    /// Writes a page of Markdown, and workflow commands.
+    pub(crate) fn write(&self, page: impl Fn() -> String, commands: impl FnOnce() -> String) -> Result<(), FileError> {
         match &self.summary {
-            Some(file) if is_stdout(file) => stdio::show(&github::render_page(record)),
-            Some(file) => github::write_markdown(record, file)?,
+            Some(file) if is_stdout(file) => stdio::show(&page()),
+            Some(file) => write_named_by_user(file, page())?,
             None => {}
         }
         let github = match self.github {
@@ -88,11 +89,10 @@ impl Outputs {
             GithubMode::Off => false,
         };
         if github {
-            let commands = github::workflow_commands(record, &|scenario, index| locations.location_of(scenario, index));
             // GitHub reads commands from both streams. Standard output may contain JSON.
-            let _ = std::io::stderr().lock().write_all(commands.as_bytes());
+            let _ = std::io::stderr().lock().write_all(commands().as_bytes());
             if let Some(file) = env::var_os("GITHUB_STEP_SUMMARY").filter(|file| !file.is_empty()) {
-                github::append_markdown(record, Path::new(&file))?;
+                github::append_markdown(&page(), Path::new(&file))?;
             }
         }
         Ok(())
@@ -104,7 +104,7 @@ pub(crate) struct ScenarioLocations(pub(crate) Arc<RunPlan>);
 
 impl ScenarioLocations {
     /// Returns the line of expectation `index` in the scenario, or line 1 without `index`.
-    fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
+    pub(crate) fn location_of(&self, scenario: &ScenarioRecord, index: Option<usize>) -> Option<SourceLocation> {
         let played = self.0.scenarios.iter().find(|played| played.file == scenario.file)?;
         let line = index.map_or(1, |index| {
             let index = number_in_file(&scenario.not_applicable, index);
@@ -115,7 +115,7 @@ impl ScenarioLocations {
 }
 
 /// Returns the path relative to the checkout on GitHub, else relative to the working directory.
-fn repository_path(path: &Path) -> String {
+pub(crate) fn repository_path(path: &Path) -> String {
     let whole = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let roots = [env::var_os("GITHUB_WORKSPACE").map(PathBuf::from), env::current_dir().ok()];
     let mut roots = roots.into_iter().flatten().filter_map(|root| fs::canonicalize(root).ok());

@@ -8,14 +8,14 @@ use crate::stdio;
 use clap::Args;
 #[cfg(feature = "export")]
 use clap::ValueEnum;
-use platebench_engine::rejudge::check_trace;
+use platebench_engine::rejudge::{check_trace, rejudge_with_rows};
 use platebench_engine::{RejudgeError, rejudge};
 use platebench_lab::boards::{MergeError, SOAK_FILE, SoakRecord, merge_runs};
 use platebench_model::quoted_path;
 use platebench_model::record::{RECORD_FILE, RunFolder, RunRecord};
 #[cfg(feature = "export")]
 use platebench_report::export::{ExportError, ExportFormat, select_scenarios};
-use platebench_report::page::ReportPage;
+use platebench_report::page::{ReportPage, RowCache};
 use platebench_report::{Detail, junit, page, traceability};
 use std::path::{Path, PathBuf};
 
@@ -113,10 +113,10 @@ fn render(run: &Path, arguments: &ReportArgs) -> CommandResult {
     if arguments.against.is_none() && soak_file.exists() {
         return write_soak_page(&SoakRecord::read(run).or_invalid_at(&soak_file)?, run);
     }
-    let record = read_record(run)?;
-    let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|other| (folder, other)));
+    let (record, rows) = read_record(run)?;
+    let other = arguments.against.as_deref().map(|folder| read_record(folder).map(|(other, _)| (folder, other)));
     let other = other.transpose()?;
-    let page = ReportPage::new(&record, run).with_baselines(&arguments.baselines).with_earlier_runs();
+    let page = ReportPage::new(&record, run).with_baselines(&arguments.baselines).with_earlier_runs().with_rows(rows);
     let page = page.without_changed_traces(|folder, trial| {
         matches!(check_trace(folder, trial), Err(RejudgeError::Modified { .. }))
     });
@@ -132,15 +132,15 @@ fn render(run: &Path, arguments: &ReportArgs) -> CommandResult {
 
 /// Judges the traces. Shows the verdicts of the record if a trace was changed or was not kept, or
 /// if the run is complete and cannot be judged for another reason.
-fn read_record(folder: &Path) -> Result<RunRecord, RejudgeError> {
-    let StoredRun { record, not_judged } = StoredRun::read(folder)?;
+fn read_record(folder: &Path) -> Result<(RunRecord, RowCache), RejudgeError> {
+    let StoredRun { record, not_judged, rows } = StoredRun::read(folder)?;
     match not_judged {
         Some(error) if record.complete || matches!(error, RejudgeError::Modified { .. } | RejudgeError::NotKept(_)) => {
             stdio::note(&format!("{error}; the report shows the verdicts of run.json, which were not checked"));
-            Ok(record)
+            Ok((record, rows))
         }
         Some(error) => Err(error),
-        None => Ok(record),
+        None => Ok((record, rows)),
     }
 }
 
@@ -149,6 +149,8 @@ struct StoredRun {
     record: RunRecord,
     /// Why the verdicts are those of the record instead of those of the traces.
     not_judged: Option<RejudgeError>,
+    /// The judged traces.
+    rows: RowCache,
 }
 
 impl StoredRun {
@@ -157,16 +159,17 @@ impl StoredRun {
     fn read(folder: &Path) -> Result<Self, RejudgeError> {
         let mut record = RunRecord::read(folder)?;
         if record.complete && record.discount_missing_traces(folder) {
-            return Ok(Self { record, not_judged: None });
+            return Ok(Self { record, not_judged: None, rows: RowCache::default() });
         }
-        match rejudge(folder, None) {
+        let mut rows = RowCache::default();
+        match rejudge_with_rows(folder, None, &mut |trace, read| rows.add(trace, read)) {
             Ok(judged) => {
                 if record.complete {
                     note_changed_verdicts(&record, &judged);
                 }
-                Ok(Self { record: judged, not_judged: None })
+                Ok(Self { record: judged, not_judged: None, rows })
             }
-            Err(error) => Ok(Self { record, not_judged: Some(error) }),
+            Err(error) => Ok(Self { record, not_judged: Some(error), rows: RowCache::default() }),
         }
     }
 }
@@ -200,7 +203,7 @@ fn judge(run: &Path, arguments: &ReportArgs, detail: Detail) -> CommandResult {
 
 #[cfg(feature = "export")]
 fn export(run: &Path, arguments: &ReportArgs, format: ExportFormatArg) -> CommandResult {
-    let StoredRun { record, not_judged } = StoredRun::read(run)?;
+    let StoredRun { record, not_judged, rows } = StoredRun::read(run)?;
     if record.complete {
         check_traces(&record, run, &arguments.scenarios)?;
     }
@@ -220,7 +223,7 @@ fn export(run: &Path, arguments: &ReportArgs, format: ExportFormatArg) -> Comman
         ExportFormatArg::Mcap => ExportFormat::Mcap,
     };
     let out = arguments.out.as_deref();
-    let exported = platebench_report::export::export(&record, run, &arguments.scenarios, format, out)?;
+    let exported = platebench_report::export::export(&record, run, &rows, &arguments.scenarios, format, out)?;
     for file in exported.files {
         stdio::show(&format!("{}\n", quoted_path(&file)));
     }

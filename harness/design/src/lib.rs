@@ -7,6 +7,7 @@ pub mod identify;
 pub mod law_loops;
 pub mod loops;
 pub mod margins;
+pub mod plate_history;
 pub mod stability;
 mod stability_map;
 pub mod step_limits;

@@ -5,8 +5,8 @@ use crate::rejudge::{RejudgeError, load_stored_scenario, read_trial_rows};
 use platebench_model::record::{RECORD_FILE, RecordError, RunRecord, ScenarioRecord, TrialRecord, Verdict};
 use platebench_model::trace::{FileError, Row, TraceError, read_trace};
 use platebench_verdict::golden::{
-    Baseline, BaselineBuild, BaselineError, GoldenTubes, LearnError, LearningParameters, ResponseFeatures,
-    TubeComparison, gap_between_rows, row_step_ms,
+    Baseline, BaselineError, GoldenTubes, JudgedResponse, LearnError, LearningParameters, TubeComparison,
+    gap_between_rows, row_step_ms,
 };
 use std::path::{Path, PathBuf};
 
@@ -74,7 +74,12 @@ pub fn read_trials(path: &Path) -> Result<Vec<ScenarioTrials>, CompareError> {
         let trials = vec![StoredTrial { index: 0, row_step_ms: None, source: TraceSource::File(path.to_owned()) }];
         return Ok(vec![ScenarioTrials { name: path.display().to_string(), trials, excluded: Vec::new() }]);
     }
-    Ok(RunRecord::read(path)?.scenarios.iter().map(|scenario| read_scenario_trials(path, scenario)).collect())
+    Ok(read_trials_of(&RunRecord::read(path)?, path))
+}
+
+/// `folder` is the run folder of `record`.
+pub fn read_trials_of(record: &RunRecord, folder: &Path) -> Vec<ScenarioTrials> {
+    record.scenarios.iter().map(|scenario| read_scenario_trials(folder, scenario)).collect()
 }
 
 pub fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> ScenarioTrials {
@@ -97,7 +102,13 @@ pub fn read_scenario_trials(folder: &Path, scenario: &ScenarioRecord) -> Scenari
 
 pub const BASELINE_KEYWORD: &str = "baseline";
 
-pub enum Reference {
+pub struct Reference {
+    curves: ReferenceCurves,
+    /// `None` for a single trace, and if the reference does not contain the scenario.
+    pub response: Option<JudgedResponse>,
+}
+
+enum ReferenceCurves {
     SameTubes(Box<GoldenTubes>),
     PerTrial(Vec<StoredTrial>),
     Nothing(&'static str),
@@ -114,53 +125,66 @@ impl Reference {
         baselines: &Path,
         scenario: &ScenarioTrials,
     ) -> Result<Self, CompareError> {
-        let one = |golden: Option<GoldenTubes>, otherwise| {
-            golden.map_or(Self::Nothing(otherwise), |golden| Self::SameTubes(Box::new(golden)))
+        let trace = |golden: Option<GoldenTubes>| Self {
+            curves: golden
+                .map_or(ReferenceCurves::Nothing(NO_TIME_RANGE), |golden| ReferenceCurves::SameTubes(Box::new(golden))),
+            response: None,
         };
+        let nothing = Self { curves: ReferenceCurves::Nothing(NO_SCENARIO), response: None };
         let reference = Path::new(against);
         if against == BASELINE_KEYWORD {
             let named = if is_run_folder(subject) { Some(scenario.name.clone()) } else { scenario_of(subject) };
             let Some(name) = named else { return Err(CompareError::NoScenario(subject.to_owned())) };
-            return Ok(one(Baseline::read(baselines, &name)?.map(|accepted| accepted.golden), NO_SCENARIO));
+            return Ok(Baseline::read(baselines, &name)?.map_or(nothing, Self::from));
         }
         if reference.extension().is_some_and(|extension| extension == "toml") {
-            let accepted = Baseline::read_files(reference, &reference.with_extension("csv"))?;
-            return Ok(one(Some(accepted.golden), NO_SCENARIO));
+            return Ok(Baseline::read_files(reference, &reference.with_extension("csv"))?.into());
         }
         if !is_run_folder(reference) {
-            return Ok(one(GoldenTubes::from_rows(&read_trace(reference)?), NO_TIME_RANGE));
+            return Ok(trace(GoldenTubes::from_rows(&read_trace(reference)?)));
         }
-        let mut others = read_trials(reference)?;
+        let record = RunRecord::read(reference)?;
+        let mut others = read_trials_of(&record, reference);
         for other in &mut others {
             other.trials.retain(StoredTrial::is_complete);
         }
         if is_run_folder(subject) {
-            let other = others.into_iter().find(|other| other.name == scenario.name);
-            return Ok(other.map_or(Self::Nothing(NO_SCENARIO), |other| Self::PerTrial(other.trials)));
+            let other = record.scenarios.iter().zip(others).find(|(_, other)| other.name == scenario.name);
+            return Ok(other.map_or(nothing, |(other, trials)| Self {
+                curves: ReferenceCurves::PerTrial(trials.trials),
+                response: Some(JudgedResponse::of(&record, other)),
+            }));
         }
         match (others.pop(), others.len()) {
             (Some(only), 0) => {
                 let first = only.trials.first().map(StoredTrial::rows).transpose()?;
-                Ok(one(first.and_then(|rows| GoldenTubes::from_rows(&rows)), NO_TIME_RANGE))
+                Ok(trace(first.and_then(|rows| GoldenTubes::from_rows(&rows))))
             }
             (_, further) => Err(CompareError::SeveralScenarios { path: reference.to_owned(), count: further + 1 }),
         }
     }
 
     pub fn tubes_for(&self, index: u32) -> Result<Option<GoldenTubes>, CompareError> {
-        match self {
-            Self::SameTubes(golden) => Ok(Some((**golden).clone())),
-            Self::PerTrial(others) => tubes_of_trial(others, index),
-            Self::Nothing(_) => Ok(None),
+        match &self.curves {
+            ReferenceCurves::SameTubes(golden) => Ok(Some((**golden).clone())),
+            ReferenceCurves::PerTrial(others) => tubes_of_trial(others, index),
+            ReferenceCurves::Nothing(_) => Ok(None),
         }
     }
 
     pub fn compare(&self, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
-        match self {
-            Self::SameTubes(golden) => compare_with_tubes(golden, scenario),
-            Self::PerTrial(others) => compare_trial_by_trial(others, scenario),
-            Self::Nothing(why) => Ok(empty_comparison(why)),
+        match &self.curves {
+            ReferenceCurves::SameTubes(golden) => compare_with_tubes(golden, scenario),
+            ReferenceCurves::PerTrial(others) => compare_trial_by_trial(others, scenario),
+            ReferenceCurves::Nothing(why) => Ok(empty_comparison(why)),
         }
+    }
+}
+
+impl From<Baseline> for Reference {
+    fn from(accepted: Baseline) -> Self {
+        let curves = ReferenceCurves::SameTubes(Box::new(accepted.golden));
+        Self { curves, response: Some(accepted.response) }
     }
 }
 
@@ -240,7 +264,7 @@ fn compare_trial_by_trial(others: &[StoredTrial], scenario: &ScenarioTrials) -> 
 }
 
 /// Returns inconclusive instead of pass if the scenario has excluded trials.
-pub fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
+fn compare_with_tubes(golden: &GoldenTubes, scenario: &ScenarioTrials) -> Result<TubeComparison, CompareError> {
     // Reads one trace at a time, because all traces together may exceed the memory.
     let mut failed = None;
     let mut gap = None;
@@ -332,19 +356,7 @@ pub fn build_baseline(
             tube.tolerance = kept.tolerance;
         }
     }
-    let firmware = record.rig.firmware.as_ref();
-    Ok(Baseline {
-        scenario: scenario.file.clone(),
-        law: scenario.law.clone(),
-        build: BaselineBuild {
-            rig: record.rig.name.clone(),
-            firmware: firmware.map_or_else(String::new, |firmware| format!("{} {}", firmware.name, firmware.version)),
-            id: firmware.map_or_else(String::new, |firmware| firmware.build.clone()),
-        },
-        features: ResponseFeatures::of(first),
-        learned,
-        golden,
-    })
+    Ok(Baseline { scenario: scenario.file.clone(), response: JudgedResponse::of(record, scenario), learned, golden })
 }
 
 #[cfg(test)]

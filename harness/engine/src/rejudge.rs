@@ -60,6 +60,15 @@ impl From<Diagnostic> for RejudgeError {
 /// Judges trials with a record only, by their telemetry and their traces. A trial without a record
 /// or without its trace makes its scenario inconclusive.
 pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, RejudgeError> {
+    rejudge_with_rows(folder, expectations, &mut |_, _| {})
+}
+
+/// As [`rejudge`]. `on_rows` receives each judged trace, so that it need not be read again.
+pub fn rejudge_with_rows(
+    folder: &Path,
+    expectations: Option<&Path>,
+    on_rows: &mut dyn FnMut(&str, Vec<Row>),
+) -> Result<RunRecord, RejudgeError> {
     let mut record = RunRecord::read(folder)?;
     if record.overrides.keep_traces != KeepTraces::All {
         return Err(RejudgeError::NotKept(folder.to_owned()));
@@ -86,7 +95,7 @@ pub fn rejudge(folder: &Path, expectations: Option<&Path>) -> Result<RunRecord, 
             scenario.set_law(OWN_LAW);
         }
         scenario.model = model;
-        scenarios.push(rejudge_scenario(folder, &scenario, stored, record.complete)?);
+        scenarios.push(rejudge_scenario(folder, &scenario, stored, record.complete, on_rows)?);
     }
     record.scenarios = scenarios;
     record.update_verdict();
@@ -215,6 +224,7 @@ fn rejudge_scenario(
     scenario: &Scenario,
     stored: &ScenarioRecord,
     complete: bool,
+    on_rows: &mut dyn FnMut(&str, Vec<Row>),
 ) -> Result<ScenarioRecord, RejudgeError> {
     check_distinct_traces(folder, scenario, stored)?;
     let is_judged = complete || stored.time_limit_s.is_some();
@@ -225,7 +235,7 @@ fn rejudge_scenario(
         for index in measures.len() as u32..trials {
             match stored.trials.iter().find(|trial| trial.index == index) {
                 Some(then) => {
-                    let (trial, record) = rejudge_trial(folder, scenario, then)?;
+                    let (trial, record) = rejudge_trial(folder, scenario, then, on_rows)?;
                     measures.push(trial);
                     records.extend(record);
                 }
@@ -282,6 +292,7 @@ fn rejudge_trial(
     folder: &Path,
     scenario: &Scenario,
     then: &TrialRecord,
+    on_rows: &mut dyn FnMut(&str, Vec<Row>),
 ) -> Result<(TrialMeasures, Option<TrialRecord>), RejudgeError> {
     // A trial of 0.3 without a hash was cut off before its telemetry was recorded.
     if then.sha256.is_none() {
@@ -294,6 +305,7 @@ fn rejudge_trial(
     let rows = read_trial_rows(folder, then)?;
     check_amplitude(&path, &rows)?;
     let measures = measure_trial(scenario, law(scenario)?, then.index, &rows, &then.telemetry);
+    on_rows(&then.trace, rows);
     let record = trial_record(scenario, &measures, then.telemetry.clone(), then.trace.clone(), then.wall_ms);
     Ok((measures, Some(TrialRecord { sha256: then.sha256.clone(), ..record })))
 }

@@ -14,6 +14,9 @@ use columns::{ColumnRole, Scale};
 use platebench_plate::{Complex64, Conditions};
 use std::io::Read;
 
+/// Largest negative drive that counts as noise, as a share of the highest drive.
+const MAX_NEGATIVE_SHARE: f64 = 0.02;
+
 #[derive(Debug, thiserror::Error)]
 pub enum ExternalCsvError {
     #[error("{name}:{line}: {message}")]
@@ -62,7 +65,15 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
         let place = titles.place(&column.title).map_err(|message| error_at(titles.line, message))?;
         places.push((column, place));
     }
+    let mut constants = [0.0; ColumnRole::COUNT];
+    for (role, value) in columns.constants() {
+        if let Some(slot) = constants.get_mut(role as usize) {
+            *slot = value;
+        }
+    }
     let mut rows: Vec<TelemetryRow> = Vec::new();
+    // The lowest drive with its error. Noise of an instrument may be negative.
+    let mut lowest: Option<(f64, ExternalCsvError)> = None;
     let mut marks = DecimalMarks::default();
     let mut first_instant = None;
     for record in titles.data(&text) {
@@ -75,7 +86,7 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
             dialect.has_units_row = true;
             continue;
         }
-        let mut values = [0.0; ColumnRole::COUNT];
+        let mut values = constants;
         for (column, place) in &places {
             let cell = record.cells.get(*place).unwrap_or("");
             let found = |expected: &str| {
@@ -83,6 +94,7 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
                 error_at(record.line, format!("column {number} (`{title}`) is `{cell}`, expected {expected}"))
             };
             let value = match column.scale {
+                Scale::Constant(value) => value,
                 Scale::Factor { factor, offset } => {
                     let number = marks.parse(cell, titles.dialect.delimiter);
                     let number = number.map_err(|message| error_at(record.line, message))?;
@@ -99,7 +111,13 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
                 ColumnRole::Time if rows.last().is_some_and(|last| last.t >= value) => {
                     return Err(found("a time after that of the row above"));
                 }
-                ColumnRole::Drive | ColumnRole::Amplitude if value < 0.0 => return Err(found("0 or more")),
+                ColumnRole::Amplitude if value < 0.0 => return Err(found("0 or more")),
+                ColumnRole::Drive if value < 0.0 => {
+                    if lowest.as_ref().is_none_or(|(least, _)| value < *least) {
+                        let expected = "0 or more, or noise of at most 2 % of the highest drive, which counts as 0";
+                        lowest = Some((value, found(expected)));
+                    }
+                }
                 ColumnRole::Frequency if value <= 0.0 => return Err(found("a frequency above 0")),
                 role => {
                     if let Some(slot) = values.get_mut(role as usize) {
@@ -109,6 +127,10 @@ pub fn read_rows(name: &str, table: impl Read, columns: &ColumnMapping) -> Resul
             }
         }
         rows.push(TelemetryRow::new(values, columns));
+    }
+    let highest = rows.iter().map(|row| row.vpp).fold(0.0, f64::max);
+    if let Some((_, error)) = lowest.filter(|(least, _)| *least < -MAX_NEGATIVE_SHARE * highest) {
+        return Err(error);
     }
     dialect.has_decimal_commas = marks.has_commas;
     Ok(TelemetryTable { rows, dialect })

@@ -143,9 +143,9 @@ fn shared_cause(scenario: &ScenarioRecord, index: usize) -> Option<SharedCause<'
     }
 }
 
-/// True if a slower `--time-scale` or `--clock lockstep` may decide an expectation.
+/// Time scale of the run if a slower `--time-scale` or `--clock lockstep` may decide an expectation.
 /// [`Excuse::LoopDelay`] and [`Excuse::OwnLawDelay`] say so themselves.
-pub(crate) fn is_late_in_real_time(record: &RunRecord) -> bool {
+pub(crate) fn late_time_scale(record: &RunRecord) -> Option<f64> {
     let is_late = |expectation: &ExpectationRecord| {
         matches!(
             expectation.reason,
@@ -156,7 +156,9 @@ pub(crate) fn is_late_in_real_time(record: &RunRecord) -> bool {
         )
     };
     let expectations = || record.scenarios.iter().flat_map(|scenario| &scenario.expectations);
-    record.clock == ClockKind::RealTime && expectations().any(is_late)
+    let mut trials = record.scenarios.iter().flat_map(|scenario| &scenario.trials);
+    let scale = trials.find_map(|trial| Some(trial.telemetry.timing.as_deref()?.time_scale));
+    (record.clock == ClockKind::RealTime && expectations().any(is_late)).then(|| scale.unwrap_or(1.0))
 }
 
 /// Wall time by which ser2net 4 delays every answer by default, ms: 3.2 on an idle machine.

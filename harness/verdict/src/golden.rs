@@ -4,12 +4,11 @@
 mod learn;
 mod tubes;
 
-use crate::metrics::{self, Measure};
 use crate::tube::{TUBE_SIGNALS, Tolerance, Tube, TubePoint, TubeSignal};
-use platebench_model::record::{Telemetry, sha256};
-use platebench_model::scenario::{Expectation, Metric, Window};
+use platebench_model::record::{RunRecord, ScenarioRecord, sha256};
 use platebench_model::trace::{AtPath, FileError, OutputFolder, Row, read_text_file};
-use platebench_plate::Time;
+use schemars::JsonSchema;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -34,34 +33,26 @@ pub enum BaselineError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Baseline {
     pub scenario: String,
-    pub law: String,
-    pub build: BaselineBuild,
-    pub features: ResponseFeatures,
+    pub response: JudgedResponse,
     pub learned: Option<LearningParameters>,
     pub golden: GoldenTubes,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// The controller of a response, and what its scenario judged.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JudgedResponse {
+    pub law: String,
+    pub build: BaselineBuild,
+    /// Rounded values by key of the expectation. `None` in a baseline of an earlier version.
+    pub values: Option<BTreeMap<String, f64>>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BaselineBuild {
     pub rig: String,
     pub firmware: String,
     pub id: String,
-}
-
-/// Rounded values of a trial; `None` if the trial has no value.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ResponseFeatures {
-    /// 5 % settling time of |W| after the first step, rounded to 0.01 ms.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub settling_time_ms: Option<f64>,
-    /// Rounded to 0.1 %.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub overshoot_percent: Option<f64>,
-    /// Rounded to 1 Vpp.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub drive_peak_vpp: Option<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -80,39 +71,40 @@ struct BaselineHeader {
     #[serde(skip_serializing_if = "Option::is_none")]
     step_ms: Option<f64>,
     build: BaselineBuild,
-    #[serde(default)]
-    features: ResponseFeatures,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    judged: Option<BTreeMap<String, f64>>,
+    /// Numbers of the first trial in files of earlier versions.
+    #[serde(default, rename = "features", skip_serializing)]
+    _features: IgnoredAny,
     #[serde(skip_serializing_if = "Option::is_none")]
     learned: Option<LearningParameters>,
     tolerance: BTreeMap<String, Tolerance>,
 }
 
-impl ResponseFeatures {
-    pub fn of(rows: &[Row]) -> Self {
-        let end = rows.last().and_then(|row| Time::from_seconds(row.t_s)).unwrap_or(Time::ZERO);
-        let number = |metric: Metric, grain: f64| {
-            let expectation = Expectation::for_window(metric, Window { from: Time::ZERO, to: end });
-            match metrics::measure(&expectation, rows, &Telemetry::default()) {
-                // A division gives the double nearest to the decimal number, for example
-                // 195/100 = 1.95.
-                Measure::Value(value) => Some((value * grain).round() / grain),
-                _ => None,
-            }
+impl JudgedResponse {
+    pub fn of(record: &RunRecord, scenario: &ScenarioRecord) -> Self {
+        let firmware = record.rig.firmware.as_ref();
+        let build = BaselineBuild {
+            rig: record.rig.name.clone(),
+            firmware: firmware.map_or_else(String::new, |firmware| format!("{} {}", firmware.name, firmware.version)),
+            id: firmware.map_or_else(String::new, |firmware| firmware.build.clone()),
         };
-        Self {
-            settling_time_ms: number(Metric::SettlingTime, 100.0),
-            overshoot_percent: number(Metric::Overshoot, 10.0),
-            drive_peak_vpp: number(Metric::DrivePeak, 1.0),
-        }
+        Self { law: scenario.law.clone(), build, values: Some(judged_values(scenario)) }
     }
+}
 
-    pub fn by_name(&self) -> [(&'static str, Option<f64>); 3] {
-        [
-            ("settling_time_ms", self.settling_time_ms),
-            ("overshoot_percent", self.overshoot_percent),
-            ("drive_peak_vpp", self.drive_peak_vpp),
-        ]
-    }
+/// Rounded value of each expectation that has one, by its key.
+pub fn judged_values(scenario: &ScenarioRecord) -> BTreeMap<String, f64> {
+    let values = (0..).zip(&scenario.expectations).map(|(index, judged)| (scenario.metric_key(index), judged.value));
+    values.filter_map(|(key, value)| Some((key, rounded(value?)))).collect()
+}
+
+/// Four significant digits and at most four decimals, so that another processor or compiler gives
+/// the same text.
+fn rounded(value: f64) -> f64 {
+    let significant = format!("{value:.3e}").parse().unwrap_or(value);
+    // A division gives the double nearest to the decimal number. The sum has no negative zero.
+    (significant * 1e4).round() / 1e4 + 0.0
 }
 
 impl GoldenTubes {
@@ -152,11 +144,12 @@ impl Baseline {
         }
         let head = BaselineHeader {
             scenario: self.scenario.clone(),
-            law: self.law.clone(),
+            law: self.response.law.clone(),
             curves_sha256: sha256(table.as_bytes()),
             step_ms: self.golden.step_ms,
-            build: self.build.clone(),
-            features: self.features.clone(),
+            build: self.response.build.clone(),
+            judged: self.response.values.clone(),
+            _features: IgnoredAny,
             learned: self.learned.clone(),
             tolerance: tubes.iter().map(|tube| (tube.signal.clone(), tube.tolerance)).collect(),
         };
@@ -225,9 +218,7 @@ impl Baseline {
         }
         Ok(Self {
             scenario: parsed.scenario,
-            law: parsed.law,
-            build: parsed.build,
-            features: parsed.features,
+            response: JudgedResponse { law: parsed.law, build: parsed.build, values: parsed.judged },
             learned: parsed.learned,
             golden: GoldenTubes { tubes, step_ms: parsed.step_ms, false_alarm_rate: rate },
         })

@@ -2,7 +2,7 @@
 
 use crate::test_folder::{ProgramOutput, SETTLING, TestFolder, run_bench, step_scenario, step_text, workspace_root};
 use platebench_model::record::RunRecord;
-use platebench_verdict::golden::ResponseFeatures;
+use platebench_verdict::golden::judged_values;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
@@ -31,7 +31,7 @@ fn the_paper_s_scenarios_match_their_baselines() {
     let output = compare_with_baselines(folder.path()).assert_exit(0);
     assert_eq!(output.text().matches("✓ pass  paper/").count(), 11);
     assert!(!folder.path().join("run/comparison").exists(), "no difference to draw");
-    insta::assert_snapshot!("features_of_the_paper_s_scenarios", feature_table(&folder.path().join("run")));
+    insta::assert_snapshot!("judged_values_of_the_paper_s_scenarios", value_table(&folder.path().join("run")));
 }
 
 #[test]
@@ -45,14 +45,12 @@ fn another_law_differs_from_every_baseline() {
     assert!(svg.contains("amplitude_um at 2 ms"));
 }
 
-fn feature_table(run: &Path) -> String {
+/// The values that a baseline keeps.
+fn value_table(run: &Path) -> String {
     let mut table = String::new();
     for scenario in RunRecord::read(run).unwrap().scenarios {
-        let rows = platebench_model::trace::read_trace(&run.join(&scenario.trials[0].trace)).unwrap();
-        let features = ResponseFeatures::of(&rows).by_name().map(|(name, value)| {
-            format!("{name} {}", value.map_or_else(|| "none".to_owned(), |value| value.to_string()))
-        });
-        writeln!(table, "{}: {}", scenario.file, features.join(", ")).unwrap();
+        let values = judged_values(&scenario).into_iter().map(|(name, value)| format!("{name} {value}"));
+        writeln!(table, "{}: {}", scenario.file, values.collect::<Vec<_>>().join(", ")).unwrap();
     }
     table
 }

@@ -131,3 +131,51 @@ fn impossible_estimates_write_no_plate_file() {
     identify(NM_AS_UM, &["--force"]).assert_exit(3);
     assert!(folder.read("plate.toml").starts_with("# DOUBTFUL: gain K1 of "), "{}", folder.read("plate.toml"));
 }
+
+/// Records voltage steps of a plate whose gain is `gain` times the nominal one.
+fn record_plate(folder: &TestFolder, run: &str, gain: f64, seed: &str) {
+    let scenarios = workspace_root().join("scenarios");
+    let plate = fs::read_to_string(scenarios.join("plates/aluminium-198x138-noisy.toml")).unwrap();
+    let nominal = "gain_um_per_vpp = 0.00698";
+    assert!(plate.contains(nominal), "{plate}");
+    folder.write("plate.toml", &plate.replace(nominal, &format!("gain_um_per_vpp = {}", 0.006_98 * gain)));
+    let scenario = fs::read_to_string(scenarios.join("identify/voltage-steps.toml")).unwrap();
+    let (scene, _) = scenario.split_once("[trials.spread]").unwrap();
+    let scene = scene.replace("../plates/aluminium-198x138-noisy.toml", "plate.toml").replace("#:schema", "#");
+    folder.write("steps.toml", &format!("{scene}\n[[expect]]\nmetric = \"drive_peak_vpp\"\nat_most = 900.0\n"));
+    let arguments = ["run", "steps.toml", "--rig", "hosted", "--trials", "8", "--seed", seed, "--out", run];
+    folder.bench(arguments).assert_exit(0);
+}
+
+#[test]
+fn a_history_shows_the_drift_of_a_plate() {
+    let folder = TestFolder::new();
+    let identify = |run: &str, date: &str, more: &[&str]| {
+        let arguments = ["identify", run, "--name", "P7", "--history", "p7.jsonl", "--date", date];
+        folder.bench(arguments.iter().chain(more))
+    };
+    for (run, date, seed) in [("a", "2026-01-05", "1"), ("b", "2026-02-05", "100"), ("c", "2026-03-05", "200")] {
+        record_plate(&folder, run, 1.0, seed);
+        let output = identify(run, date, &[]).assert_exit(0);
+        assert!(output.stdout.contains("History of P7: ") && !output.text().contains("drift of"), "{}", output.text());
+    }
+    let three = folder.read("p7.jsonl");
+    assert_eq!(three.lines().count(), 3);
+    identify("c", "2026-03-06", &[]).assert_message(2, &["p7.jsonl:3: contains the recording c/traces/"]);
+    let other = ["identify", "a", "--name", "P8", "--history", "p7.jsonl"];
+    folder.bench(other).assert_message(2, &["p7.jsonl:1: the plate is P7, expected P8"]);
+    folder.bench(["identify", "a", "--history", "p7.jsonl"]).assert_message(2, &["--name <NAME>"]);
+    assert_eq!(folder.read("p7.jsonl"), three);
+    record_plate(&folder, "d", 1.01, "300");
+    let page = ["--page", "history.html", "--format", "json"];
+    let output = identify("d", "2026-04-05", &page).assert_exit(0).assert_stderr(&["drift of gain_um_per_vpp: "]);
+    let history = &output.json()["history"];
+    assert_eq!(history["identifications"], 4);
+    let drifted = history["quantities"].as_array().unwrap().iter().filter(|one| one["drift"]["is_drift"] == true);
+    let drifted: Vec<_> = drifted.filter_map(|one| one["quantity"].as_str()).collect();
+    assert_eq!(drifted, ["gain_um_per_vpp"]);
+    let page = folder.read("history.html");
+    assert!(page.contains("History of P7") && page.contains("days since the first identification"));
+    folder.write("p7.jsonl", &(three + "t_s,wd_um\n"));
+    identify("d", "2026-04-05", &[]).assert_message(2, &["p7.jsonl:4: ", "expected a line that `platebench identify"]);
+}

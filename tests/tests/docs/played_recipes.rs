@@ -116,7 +116,10 @@ fn play_github(project: &Project, recipe: &Value, event: &str) -> (bool, Vec<Ste
         let text = |key: &str| step[key].as_str().unwrap_or_default();
         let runs = is_met(text("if"), event, is_green, &steps);
         let script = text("run");
-        let passes = !runs || script.is_empty() || script.starts_with("cargo ") || project.shell(script, &job["env"]);
+        let script_of_service =
+            format!("export GITHUB_ACTIONS=true GITHUB_STEP_SUMMARY=\"$PWD/step-summary.md\"\n{script}");
+        let is_skipped = !runs || script.is_empty() || script.starts_with("cargo ");
+        let passes = is_skipped || project.shell(&script_of_service, &job["env"]);
         is_green &=
             passes || is_met(text("continue-on-error"), event, true, &steps) && !text("continue-on-error").is_empty();
         steps.push(Step { name: text("name").to_owned(), id: text("id").to_owned(), runs, passes });
@@ -140,8 +143,12 @@ fn the_github_job_compares_and_accepts(
     let is_dispatched = event == "workflow_dispatch";
     assert!(step("Run and judge").passes);
     assert_eq!(step("Compare").passes, baselines.compare_passes());
-    assert!(step("Show the changes").runs);
     assert_eq!(project.exists("run/comparison"), baselines == Baselines::Changed);
+    let summary = fs::read_to_string(project.folder.path().join("step-summary.md")).unwrap();
+    let (run, comparison) = summary.split_once(" platebench compare: ").unwrap();
+    assert!(run.contains("platebench: pass"), "{run}");
+    assert_eq!(comparison.contains("platebench baseline accept run"), !baselines.compare_passes(), "{comparison}");
+    assert_eq!(comparison.contains("| ✗ | step.toml | drive\\_peak\\_vpp | 551.4 | "), baselines == Baselines::Changed);
     assert!(step("Keep the run").runs);
     for name in ["Accept", "Keep the new baselines"] {
         assert_eq!(step(name).runs, is_dispatched, "{name}");
@@ -174,34 +181,13 @@ fn the_gitlab_jobs_compare_and_accept(
     let passed = play("baseline");
     assert_eq!(passed, baselines.compare_passes());
     let drawings: &[&str] = if baselines == Baselines::Changed { &["run/comparison/"] } else { &[] };
-    assert_eq!(kept("baseline", passed), drawings);
+    assert_eq!(kept("baseline", passed), [&["changes.md"], drawings].concat());
+    let changes = fs::read_to_string(project.folder.path().join("changes.md")).unwrap();
+    assert_eq!(changes.contains("platebench baseline accept run"), !baselines.compare_passes(), "{changes}");
     // The job that accepts needs no comparison that passes.
     let needed = recipe["accept"]["needs"].as_sequence().unwrap();
     assert!(needed.iter().all(|needed| needed["job"].as_str() == Some("bench")));
     assert!(play("accept"));
     assert_eq!(kept("accept", true), ["scenarios/baselines/"]);
     project.assert_accepted();
-}
-
-/// The first script of the job `baseline` stopped before the changes were shown.
-#[test]
-fn the_gitlab_job_shows_the_changes_before_it_ends() {
-    let recipe = recipe("gitlab.yml");
-    let script = recipe["baseline"]["script"].as_sequence().unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("calls");
-    write_failing_bench(folder.path(), &log);
-    let lines: Vec<_> = script.iter().map(|line| line.as_str().unwrap()).collect();
-    let path = format!("{}:{}", folder.path().display(), std::env::var("PATH").unwrap());
-    let mut bash = Command::new("bash");
-    bash.args(["-eo", "pipefail", "-c", &lines.join("\n")]).env("PATH", path);
-    assert!(!bash.status().unwrap().success());
-    assert_eq!(fs::read_to_string(&log).unwrap().lines().count(), lines.len());
-}
-
-fn write_failing_bench(folder: &Path, log: &Path) {
-    use std::os::unix::fs::PermissionsExt;
-    let program = folder.join("platebench");
-    fs::write(&program, format!("#!/bin/sh\necho \"$@\" >>'{}'\nexit 1\n", log.display())).unwrap();
-    fs::set_permissions(&program, PermissionsExt::from_mode(0o755)).unwrap();
 }

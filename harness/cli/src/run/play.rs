@@ -18,13 +18,15 @@ use platebench_document::format::count;
 use platebench_engine::{Clock, RunError, RunPlan, rejudge};
 use platebench_lab::boards::BoardOutcome;
 use platebench_model::quoted_path;
-use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, Verdict};
+use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, ScenarioRecord, Verdict};
 use platebench_model::scenario::{AUTO_MODEL, Diagnostic, MAX_TRIALS, Scenario};
 use platebench_plate::Model;
 use platebench_report::events::{EventWriter, run_finished};
 use platebench_report::live::RunDescription;
 use platebench_report::page::RowCache;
-use platebench_report::{Detail, Progress, ProgressKind, counts_so_far, junit, page, slow_scenarios, traceability};
+use platebench_report::{
+    Detail, Progress, ProgressKind, counts_so_far, github, junit, page, slow_scenarios, traceability,
+};
 use platebench_rig::{Capability, ConnectOptions, DebugPort, RigSpec};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -387,8 +389,11 @@ fn write_reports(
     };
     let files = shutdown::run_unless_signalled(write_files).or_invalid()?;
     let is_cancelled = files.is_none();
-    let outputs = || arguments.outputs.write(&record.with_traces_below(folder.path()), locations);
-    let written = files.unwrap_or(Ok(())).and_then(|()| outputs());
+    let written = files.unwrap_or(Ok(())).and_then(|()| {
+        let record = record.with_traces_below(folder.path());
+        let location = |scenario: &ScenarioRecord, index| locations.location_of(scenario, index);
+        arguments.outputs.write(|| github::render_page(&record), || github::workflow_commands(&record, &location))
+    });
     if arguments.format == OutputFormat::Human {
         if arguments.outputs.replaces_table() {
             stdio::record_to_stderr(record, folder.path(), detail);

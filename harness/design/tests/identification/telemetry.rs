@@ -40,7 +40,11 @@ fn units_are_converted() {
 #[rstest]
 #[case(5, "x,300,32.3,1,0,0", ":6: column 1 (`t`) is `x`, expected a finite number")]
 #[case(5, "4,300,32.3,NaN,0,0", ":6: column 4 (`Wd`) is `NaN`, expected a finite number")]
-#[case(5, "4,-1,32.3,1,0,0", ":6: column 2 (`V`) is `-1`, expected 0 or more")]
+#[case(
+    5,
+    "4,-6.1,32.3,1,0,0",
+    ":6: column 2 (`V`) is `-6.1`, expected 0 or more, or noise of at most 2 % of the highest drive, which counts as 0"
+)]
 #[case(5, "4,300,0,1,0,0", ":6: column 3 (`f`) is `0`, expected a frequency above 0")]
 #[case(5, "3,300,32.3,1,0,0", ":6: column 1 (`t`) is `3`, expected a time after that of the row above")]
 #[case(0, "t,V,f,Wd,Wq,T,V", ":1: columns 2 and 7 both have the title `V`; expected V#1 or V#2")]
@@ -55,6 +59,33 @@ fn rejects_a_bad_cell_with_its_line(#[case] line: usize, #[case] text: &str, #[c
 fn a_repeated_title_without_a_role_is_accepted() {
     let table = step_table().join("\n").replacen("t,V,f,Wd,Wq,T", "t,V,f,Wd,Wq,T,x,x", 1).replace(",1.5", ",1.5,0,1");
     external_csv::read("plate.csv", table.as_bytes(), &COLUMNS.parse().unwrap()).unwrap();
+}
+
+/// Channels in V without a column of the frequency, as an oscilloscope writes them.
+#[test]
+fn scaled_columns_and_constants_give_the_same_recording() {
+    let table = step_table();
+    let read =
+        |text: &str, columns: &str| external_csv::read("", text.as_bytes(), &columns.parse().unwrap()).unwrap().0;
+    let plain = read(&table.join("\n"), COLUMNS);
+    // 0.1 V per 100 Vpp, 1 V per 0.5 µm, with noise of 2 % of the highest drive.
+    let lines = table.iter().enumerate().map(|(number, line)| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let volts = |place: usize, per_volt: f64| cells[place].parse::<f64>().unwrap() / per_volt;
+        match number {
+            0 => "t,CH1,CH2,CH3\n,V,V,V".to_owned(),
+            1 => format!("{},-0.006,{},{}", cells[0], volts(3, 500.0), volts(4, 500.0)),
+            _ => format!("{},{},{},{}", cells[0], volts(1, 1e3), volts(3, 500.0), volts(4, 500.0)),
+        }
+    });
+    let scope = "time=t:ms,drive=CH1:1000*Vpp,frequency==32.3076:kHz,wd=CH2:0.5*um,wq=CH3:0.5*um,temperature==1.5:K";
+    let scaled = read(&lines.collect::<Vec<_>>().join("\n"), scope);
+    assert_eq!(plain.inputs.len(), scaled.inputs.len());
+    for (one, other) in plain.inputs.iter().zip(&scaled.inputs) {
+        assert!((one.vpp - other.vpp).abs() < 1e-9 && (one.omega - other.omega).abs() < 1e-6, "{one:?} {other:?}");
+        assert_eq!(one.conditions, other.conditions);
+    }
+    assert!(plain.outputs.iter().zip(&scaled.outputs).all(|(one, other)| (one.w - other.w).norm() < 1e-12));
 }
 
 #[test]
@@ -89,6 +120,13 @@ fn rejects_an_unusable_recording() {
 #[case("time=t:s,time=u:s,drive=V:V,frequency=f:Hz,wd=Wd:um,wq=Wq:um", "two columns for the role time")]
 #[case("time=t:s,drive=V:V,frequency=f:Hz,wd=W:um,wq=W:um", "the column `W` has two roles, expected one")]
 #[case("time=t:-s", "unit `-s` of time, expected s or ms or us")]
+#[case("time==5:s", "`time==5:s` is a constant time, expected a column")]
+#[case("frequency==0:Hz", "`frequency==0:Hz`, expected a frequency above 0")]
+#[case("drive==-1:Vpp", "`drive==-1:Vpp`, expected 0 or more")]
+#[case("frequency==x:Hz", "`frequency==x:Hz`, expected frequency==NUMBER:UNIT")]
+#[case("wd=CH2:0*um", "`0` in wd=CH2:0*um, expected a number above 0")]
+#[case("wd=CH2:a*um", "`a` in wd=CH2:a*um, expected a number above 0")]
+#[case("wd=CH2:2*V", "unit `V` of wd, expected um or nm")]
 #[case("t,V", "`t`, expected ROLE=COLUMN:UNIT")]
 fn rejects_invalid_column_mappings(#[case] text: &str, #[case] message: &str) {
     let error = text.parse::<ColumnMapping>().unwrap_err();

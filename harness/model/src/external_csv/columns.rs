@@ -68,6 +68,8 @@ pub(super) enum Scale {
     },
     /// The cell is a date and a time.
     Instant,
+    /// A value in the unit of the role that holds in every row.
+    Constant(f64),
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -76,6 +78,7 @@ pub(super) struct Column {
     /// Title, with `#2` for the second column of this title.
     pub(super) title: String,
     unit: String,
+    is_scaled: bool,
     pub(super) scale: Scale,
 }
 
@@ -83,6 +86,10 @@ impl Column {
     /// Fails if the unit below the title is a known unit of the role with another factor.
     pub(super) fn check_unit(&self, found: &str) -> Result<(), String> {
         let Scale::Factor { factor, .. } = self.scale else { return Ok(()) };
+        // A scaled column has the unit of the instrument.
+        if self.is_scaled {
+            return Ok(());
+        }
         let units = ROLES.iter().find(|role| role.1 == self.role).map_or(&[][..], |role| role.2);
         let found = canonical_unit(found);
         match units.iter().find(|unit| unit.0 == found) {
@@ -108,15 +115,24 @@ pub(super) fn canonical_unit(text: &str) -> String {
 /// title. Units: time s, ms, us, datetime (ISO 8601) · drive Vpp, V (amplitude, half of Vpp), Vrms,
 /// each also with m · frequency Hz, kHz, rad/s · wd, wq, amplitude and setpoint um, nm, m (peak to
 /// peak), `um_pk`, `nm_pk`, `um_rms`, `nm_rms` · phase deg, rad · temperature K above the reference,
-/// or `degC-24` with the reference · force N, mN. `-` before the unit of wd, wq and phase reverses the
-/// sign. Drive and frequency of a row act from the time of the row on; Wd and Wq are sampled at this
-/// time.
+/// or `degC-24` with the reference · force N, mN. `NUMBER*` before the unit scales the column, as
+/// `CH2:0.5*um` for 0.5 µm per volt; `=NUMBER` in place of a column holds in every row. `-` before the
+/// unit of wd, wq and phase reverses the sign. Drive and frequency of a row act from the time of the
+/// row on; Wd and Wq are sampled at this time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnMapping(Vec<Column>);
 
 impl ColumnMapping {
+    /// The roles that a column of the table has.
     pub(super) fn iter(&self) -> impl Iterator<Item = &Column> {
-        self.0.iter()
+        self.0.iter().filter(|column| !matches!(column.scale, Scale::Constant(_)))
+    }
+
+    pub(super) fn constants(&self) -> impl Iterator<Item = (ColumnRole, f64)> {
+        self.0.iter().filter_map(|column| match column.scale {
+            Scale::Constant(value) => Some((column.role, value)),
+            _ => None,
+        })
     }
 
     pub(super) fn has(&self, role: ColumnRole) -> bool {
@@ -145,7 +161,8 @@ impl FromStr for ColumnMapping {
                 let key = part.split('=').next().unwrap_or_default().trim();
                 return Err(format!("two columns for the role {key}, expected one"));
             }
-            if columns.iter().any(|known| known.title == column.title) {
+            let is_constant = matches!(column.scale, Scale::Constant(_));
+            if !is_constant && columns.iter().any(|known| known.title == column.title) {
                 return Err(format!("the column `{}` has two roles, expected one", column.title));
             }
             columns.push(column);
@@ -171,6 +188,14 @@ fn parse_column(part: &str) -> Result<Column, String> {
     let (title, unit) = rest.rsplit_once(':').ok_or_else(|| {
         format!("`{part}` names the column `{rest}` without its unit, expected {part}:UNIT with {listed}")
     })?;
+    let number = |text: &str| text.trim().parse().ok().filter(|number: &f64| number.is_finite());
+    let (scaled, unit, is_scaled) = match unit.split_once('*') {
+        Some((text, unit)) => {
+            let factor = number(text).filter(|factor| *factor > 0.0);
+            (factor.ok_or_else(|| format!("`{text}` in {part}, expected a number above 0"))?, unit, true)
+        }
+        None => (1.0, unit, false),
+    };
     let unit = canonical_unit(unit);
     let (sign, bare) = match unit.strip_prefix('-').filter(|_| is_signed) {
         Some(bare) => (-1.0, bare),
@@ -179,7 +204,7 @@ fn parse_column(part: &str) -> Result<Column, String> {
     let scale = match units.iter().find(|known| known.0 == bare) {
         Some((INSTANT, _)) => Some(Scale::Instant),
         Some((CELSIUS, _)) => None,
-        Some((_, factor)) => Some(Scale::Factor { factor: factor * sign, offset: 0.0 }),
+        Some((_, factor)) => Some(Scale::Factor { factor: factor * sign * scaled, offset: 0.0 }),
         None if role == ColumnRole::Temperature => {
             let reference = bare.replace('°', "deg").strip_prefix("degC-").and_then(|text| text.parse().ok());
             let reference = reference.filter(|reference: &f64| reference.is_finite());
@@ -189,10 +214,26 @@ fn parse_column(part: &str) -> Result<Column, String> {
     };
     let scale = scale.ok_or_else(|| format!("unit `{unit}` of {key}, expected {listed}"))?;
     let title = title.trim().to_owned();
+    if let Some(text) = title.strip_prefix('=') {
+        let constant = number(text).zip(match scale {
+            Scale::Factor { factor, offset } => Some((factor, offset)),
+            _ => None,
+        });
+        let (value, (factor, offset)) = constant.ok_or_else(|| format!("`{part}`, expected {key}==NUMBER:UNIT"))?;
+        let value = (value - offset) * factor;
+        match role {
+            ColumnRole::Time => return Err(format!("`{part}` is a constant time, expected a column")),
+            ColumnRole::Frequency if value <= 0.0 => return Err(format!("`{part}`, expected a frequency above 0")),
+            ColumnRole::Drive | ColumnRole::Amplitude if value < 0.0 => {
+                return Err(format!("`{part}`, expected 0 or more"));
+            }
+            _ => return Ok(Column { role, title, unit, is_scaled, scale: Scale::Constant(value) }),
+        }
+    }
     if title.is_empty() {
         return Err(format!("`{part}` names no column, expected {key}=COLUMN:{unit}"));
     }
-    Ok(Column { role, title, unit, scale })
+    Ok(Column { role, title, unit, is_scaled, scale })
 }
 
 /// Nanoseconds since 1970. A time without an offset from UTC counts as UTC.

@@ -243,7 +243,10 @@ impl TraceWriter {
 #[derive(Debug)]
 pub struct TraceReader {
     reader: csv::Reader<io::Take<File>>,
-    record: csv::StringRecord,
+    record: csv::ByteRecord,
+    /// The row above. Most cells repeat and are parsed only once.
+    above: csv::ByteRecord,
+    numbers: [f64; NUMBERS],
     path: PathBuf,
     previous_t_s: Option<f64>,
     finished: bool,
@@ -257,7 +260,9 @@ impl TraceReader {
         let reader = csv::Reader::from_reader(file);
         let mut rows = Self {
             reader,
-            record: csv::StringRecord::new(),
+            record: csv::ByteRecord::new(),
+            above: csv::ByteRecord::new(),
+            numbers: [f64::NAN; NUMBERS],
             path: path.to_owned(),
             previous_t_s: None,
             finished: false,
@@ -284,7 +289,8 @@ impl TraceReader {
     }
 
     fn read_row(&mut self) -> Result<Option<Row>, TraceError> {
-        if !self.reader.read_record(&mut self.record).map_err(|error| self.csv_error(&error))? {
+        std::mem::swap(&mut self.record, &mut self.above);
+        if !self.reader.read_byte_record(&mut self.record).map_err(|error| self.csv_error(&error))? {
             return if self.previous_t_s.is_some() {
                 Ok(None)
             } else {
@@ -292,8 +298,8 @@ impl TraceReader {
             };
         }
         let line = self.record.position().map_or(0, csv::Position::line);
-        let text = self.record.get(NUMBERS).unwrap_or_default();
-        let flags = Flags::parse(text).map_err(|name| {
+        let text = String::from_utf8_lossy(self.record.get(NUMBERS).unwrap_or_default());
+        let flags = Flags::parse(&text).map_err(|name| {
             self.content_error(
                 line,
                 format!(
@@ -302,21 +308,20 @@ impl TraceReader {
                 ),
             )
         })?;
-        let mut numbers = [f64::NAN; NUMBERS];
-        for ((text, column), number) in self.record.iter().zip(Column::ALL).zip(&mut numbers) {
-            let may_be_empty = flags.contains(Flags::SENSED) && OPTIONAL_COLUMNS.contains(&column);
-            if text.is_empty() && may_be_empty {
-                continue;
-            }
-            match text.parse() {
-                Ok(value) if f64::is_finite(value) => *number = value,
-                _ => {
-                    return Err(
-                        self.content_error(line, format!("`{}` is `{text}`, expected a finite number", column.name()))
-                    );
-                }
+        let mut numbers = self.numbers;
+        for ((place, column), number) in Column::ALL.into_iter().enumerate().zip(&mut numbers) {
+            let cell = self.record.get(place).unwrap_or_default();
+            if cell.is_empty() && flags.contains(Flags::SENSED) && OPTIONAL_COLUMNS.contains(&column) {
+                *number = f64::NAN;
+            } else if cell.is_empty() || self.above.get(place) != Some(cell) {
+                let text = String::from_utf8_lossy(cell);
+                let parsed = text.parse().ok().filter(|value: &f64| value.is_finite());
+                *number = parsed.ok_or_else(|| {
+                    self.content_error(line, format!("`{}` is `{text}`, expected a finite number", column.name()))
+                })?;
             }
         }
+        self.numbers = numbers;
         let row = Row::from_numbers(numbers, flags);
         if self.previous_t_s.is_some_and(|before| before > row.t_s) {
             let message = format!("`t_s` is {}, expected a time that is not before the previous row", row.t_s);
@@ -413,6 +418,12 @@ mod tests {
             read_error(&format!("{header}\n0,NaN,0,0,0,0,0,0,0,0,0,0,0,\n")).contains(":2: `setpoint_um` is `NaN`")
         );
         assert!(read_error(&format!("{header}\n{zeros}late\n")).contains("unknown flag `late`"));
+        // Cells that repeat those of the row above are valid only if empty ones are.
+        let unknown = "0,0,0,0,0,0,0,,,,0,0,0,";
+        let repeated = format!("{header}\n{unknown}sensed\n{unknown}sensed\n{unknown}\n");
+        assert!(read_error(&repeated).contains(":4: `resonance_hz` is ``, expected a finite number"));
+        let known = format!("{header}\n{zeros}\n{}\n", zeros.replacen("0,0,", "0,0x,", 1));
+        assert!(read_error(&known).contains(":3: `setpoint_um` is `0x`"));
         assert!(read_error(&format!("{header}\n1{zeros}\n{zeros}\n").replace("10,", "1,")).contains(":3: `t_s` is 0"));
         assert!(
             read_trace(Path::new("/no/such/trace.csv")).unwrap_err().to_string().starts_with("/no/such/trace.csv: ")

@@ -8,6 +8,7 @@ use crate::export::source::{ExportError, ExportScenario, FLAG_COLUMNS, NUMBER_CO
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions};
 use platebench_model::trace::{AtPath, Row};
+use serde::{Serialize, Serializer};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -52,7 +53,7 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
             }
             let Some(((log_time, index), (sequence, row))) = next.pop_first() else { break };
             text.clear();
-            serde_json::to_writer(&mut text, &message(&row)).map_err(ExportError::format(path))?;
+            serde_json::to_writer(&mut text, &Message(&row)).map_err(ExportError::format(path))?;
             let channel_id = topics.get(index).map_or(0, |(channel_id, _)| *channel_id);
             let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
             writer.write_to_known_channel(&header, &text).map_err(&format_error)?;
@@ -63,11 +64,23 @@ pub(crate) fn write(source: &ExportScenario<'_>, file: &File, path: &Path) -> Re
     Ok(writer.into_inner().flush().at(path)?)
 }
 
-fn message(row: &Row) -> Map<String, Value> {
-    let numbers =
-        NUMBER_COLUMNS.iter().filter_map(|number| Some((number.name().to_owned(), json!(number.known_value(row)?))));
-    let flags = FLAG_COLUMNS.iter().map(|flag| (flag.name.to_owned(), Value::from(row.flags.contains(flag.flag))));
-    numbers.chain(flags).collect()
+struct Message<'a>(&'a Row);
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Cell {
+    Number(f64),
+    Flag(bool),
+}
+
+impl Serialize for Message<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self(row) = self;
+        let numbers = NUMBER_COLUMNS.iter().filter_map(|number| Some((number.name(), number.known_value(row)?)));
+        let numbers = numbers.map(|(name, value)| (name, Cell::Number(value)));
+        let flags = FLAG_COLUMNS.iter().map(|flag| (flag.name, Cell::Flag(row.flags.contains(flag.flag))));
+        serializer.collect_map(numbers.chain(flags))
+    }
 }
 
 /// JSON Schema of a message. `unit` is an annotation, which validators ignore.

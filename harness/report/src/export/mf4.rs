@@ -18,7 +18,7 @@ const RECORD_BYTES: usize = NUMBER_COLUMNS.len() * 8 + 1;
 
 pub(crate) fn write(
     source: &ExportScenario<'_>,
-    trial: &ExportTrial,
+    trial: &ExportTrial<'_>,
     file: &File,
     path: &Path,
 ) -> Result<(), ExportError> {
@@ -73,7 +73,7 @@ fn write_header(source: &ExportScenario<'_>, blocks: &mut BlockWriter<'_>) -> io
 }
 
 fn write_group(
-    trial: &ExportTrial,
+    trial: &ExportTrial<'_>,
     channels: &[Channel],
     blocks: &mut BlockWriter<'_>,
     path: &Path,

@@ -2,6 +2,7 @@
 
 use crate::export::source::{ExportError, ExportScenario};
 use crate::export::{mcap, mf4, parquet, table};
+use crate::page::RowCache;
 use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
 use platebench_model::trace::OutputFolder;
 use std::fs::File;
@@ -27,10 +28,11 @@ pub struct ExportResult {
 }
 
 /// Exports the named scenarios (with or without `.toml`) to the folder `out`, by default `export` in
-/// the run folder, or all if `scenarios` is empty. Checks names, existing files and complete trials before it writes a file.
+/// the run folder, or all if `scenarios` is empty. `rows` need not be read again. Checks names, existing files and complete trials before it writes a file.
 pub fn export(
     run: &RunRecord,
     folder: &Path,
+    rows: &RowCache,
     scenarios: &[String],
     format: ExportFormat,
     out: Option<&Path>,
@@ -45,7 +47,7 @@ pub fn export(
     let mut sources = Vec::new();
     let mut cut_off = 0;
     for scenario in select_scenarios(run, scenarios)? {
-        let (source, without_trace) = ExportScenario::of(run, scenario, folder, started_ns)?;
+        let (source, without_trace) = ExportScenario::of(run, scenario, folder, rows, started_ns)?;
         cut_off += without_trace;
         if !source.trials.is_empty() {
             sources.push(source);

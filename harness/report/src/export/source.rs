@@ -1,6 +1,7 @@
 //! Reads a scenario of a run for export: the columns of its rows, the traces of its trials, and metadata.
 //! Each flag is a column, so that programs can filter by it. Defines the errors of an export.
 
+use crate::page::RowCache;
 use platebench_model::record::{RECORD_FILE, RunRecord, ScenarioRecord};
 use platebench_model::trace::{Column, FileError, Flags, OPTIONAL_COLUMNS, Row, TraceError, TraceReader};
 use std::error::Error;
@@ -34,15 +35,19 @@ impl ExportError {
 }
 
 #[derive(Debug)]
-pub(crate) struct ExportTrial {
+pub(crate) struct ExportTrial<'a> {
     pub(crate) index: u32,
     pub(crate) seed: u64,
     trace: PathBuf,
+    /// The rows, if they were read already.
+    rows: Option<&'a [Row]>,
 }
 
-impl ExportTrial {
+impl ExportTrial<'_> {
     pub(crate) fn rows(&self) -> Result<impl Iterator<Item = Result<Row, ExportError>>, ExportError> {
-        Ok(TraceReader::open(&self.trace)?.map(|row| row.map_err(ExportError::from)))
+        let stored = self.rows.is_none().then(|| TraceReader::open(&self.trace)).transpose()?;
+        let stored = stored.into_iter().flatten().map(|row| row.map_err(ExportError::from));
+        Ok(self.rows.into_iter().flatten().copied().map(Ok).chain(stored))
     }
 }
 
@@ -54,7 +59,7 @@ pub(crate) struct ExportScenario<'a> {
     pub(crate) name: &'a str,
     /// Start of the run, ns since 1970 UTC.
     pub(crate) started_ns: u64,
-    pub(crate) trials: Vec<ExportTrial>,
+    pub(crate) trials: Vec<ExportTrial<'a>>,
 }
 
 impl<'a> ExportScenario<'a> {
@@ -63,6 +68,7 @@ impl<'a> ExportScenario<'a> {
         run: &'a RunRecord,
         scenario: &'a ScenarioRecord,
         folder: &Path,
+        rows: &'a RowCache,
         started_ns: u64,
     ) -> Result<(Self, usize), ExportError> {
         let outside =
@@ -83,7 +89,8 @@ impl<'a> ExportScenario<'a> {
             if trial.sha256.is_none() && !trace.exists() {
                 cut_off += 1;
             } else {
-                trials.push(ExportTrial { index: trial.index, seed: trial.seed, trace });
+                let rows = rows.get(&trial.trace);
+                trials.push(ExportTrial { index: trial.index, seed: trial.seed, trace, rows });
             }
         }
         Ok((Self { run, scenario, name, started_ns, trials }, cut_off))

@@ -175,16 +175,13 @@ pub(super) fn symptom_remark(scenario: &ScenarioRecord) -> Option<String> {
 }
 
 fn golden_difference(data: &TraceData) -> Markup {
-    let number = |value: &Option<f64>| value.map_or_else(|| "none".to_owned(), |value| value.to_string());
     html! {
         @if !data.golden.exceedances.is_empty() {
             div.notice {
                 p { "This run differs from the golden trace:" }
                 ul {
                     @for worst in &data.golden.exceedances { li { (format::exceedance(data.first_trial, worst)) } }
-                    @for (name, before, after) in &data.golden.features {
-                        li { (name) ": " (number(before)) " → " (number(after)) }
-                    }
+                    @for change in &data.golden.values { li { (change) } }
                 }
             }
         }

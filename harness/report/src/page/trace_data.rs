@@ -2,13 +2,17 @@
 
 use super::curves::{self, TimeGrid};
 use super::markers::{self, LimitMark, Settling, TimeMarker};
+use crate::comparison::{ValueChange, value_changes};
 use crate::record_queries;
 use crate::time_chart::TimeWindow;
 use platebench_document::chart::marks::Point;
 use platebench_model::metrics::Levels;
-use platebench_model::record::{Metric, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::record::{Metric, ScenarioRecord, Telemetry, TrialRecord, Verdict};
+use platebench_model::scenario::{Expectation, Window};
 use platebench_model::trace::{Column, Flags, Row, TraceError};
-use platebench_verdict::golden::{Baseline, BaselineError, ResponseFeatures};
+use platebench_plate::Time;
+use platebench_verdict::golden::{Baseline, BaselineError};
+use platebench_verdict::metrics::{Measure, measure};
 use platebench_verdict::tube::Exceedance;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -120,7 +124,7 @@ impl TraceData {
             match read(trial) {
                 Ok(rows) => {
                     if let Some(golden) = golden.filter(|_| data.views.is_empty()) {
-                        data.golden = GoldenDifference::find(golden, &rows);
+                        data.golden = GoldenDifference::find(golden, scenario, &rows);
                     }
                     data.add_trial(scenario, trial, &rows, resolution);
                 }
@@ -173,7 +177,7 @@ impl TraceData {
         resolution: PlotResolution,
     ) {
         self.first_trial = trial.index;
-        self.overshoot_percent = ResponseFeatures::of(rows_before_touch(rows)).overshoot_percent;
+        self.overshoot_percent = overshoot_percent(rows_before_touch(rows));
         let steps = curves::setpoint_steps_ms(rows);
         let expected = markers::settling_expectation(scenario);
         let definition = expected.and_then(|index| Some(&scenario.expectations.get(index)?.definition));
@@ -238,6 +242,16 @@ fn rows_before_touch(rows: &[Row]) -> &[Row] {
     rows.get(..step + count).unwrap_or(rows)
 }
 
+/// Rounded to 0.1 %.
+fn overshoot_percent(rows: &[Row]) -> Option<f64> {
+    let to = rows.last().and_then(|row| Time::from_seconds(row.t_s))?;
+    let expectation = Expectation::for_window(Metric::Overshoot, Window { from: Time::ZERO, to });
+    match measure(&expectation, rows, &Telemetry::default()) {
+        Measure::Value(value) => Some((value * 10.0).round() / 10.0),
+        _ => None,
+    }
+}
+
 fn whole_window(rows: &[Row]) -> TimeWindow {
     let ms = |row: Option<&Row>| row.map_or(0.0, |row| row.t_s * 1e3);
     let (from_ms, to_ms) = (ms(rows.first()), ms(rows.last()));
@@ -280,20 +294,17 @@ pub(crate) struct SampledTube {
 pub(crate) struct GoldenDifference {
     /// The worst exceedance of each signal that leaves its tube.
     pub(crate) exceedances: Vec<Exceedance>,
-    /// Name, golden value and value of this run of each feature that differs.
-    pub(crate) features: Vec<(&'static str, Option<f64>, Option<f64>)>,
+    pub(crate) values: Vec<ValueChange>,
 }
 
 impl GoldenDifference {
-    pub(crate) fn find(baseline: &Baseline, rows: &[Row]) -> Self {
+    fn find(baseline: &Baseline, scenario: &ScenarioRecord, rows: &[Row]) -> Self {
         let exceedances = baseline.golden.exceedances(rows);
         if exceedances.is_empty() {
             return Self::default();
         }
-        let now = ResponseFeatures::of(rows).by_name();
-        let pairs = baseline.features.by_name().into_iter().zip(now);
-        let features = pairs.map(|((name, before), (_, after))| (name, before, after));
-        Self { exceedances, features: features.filter(|(_, before, after)| before != after).collect() }
+        let values = baseline.response.values.as_ref().map(|values| value_changes(values, scenario));
+        Self { exceedances, values: values.unwrap_or_default() }
     }
 }
 
@@ -312,7 +323,7 @@ impl GoldenCurves {
             let edges = [sampled(&|t_ms| lower(tube.edges(t_ms))), sampled(&|t_ms| upper(tube.edges(t_ms)))];
             Some((signal, SampledTube { line: sampled(&|t_ms| tube.point_at(t_ms).value), edges }))
         });
-        Self { text: format!("golden trace ({})", accepted.law), tubes: tubes.collect() }
+        Self { text: format!("golden trace ({})", accepted.response.law), tubes: tubes.collect() }
     }
 
     pub(crate) fn tube_of(&self, signal: Column) -> Option<&SampledTube> {
@@ -338,7 +349,7 @@ impl RowCache {
         }
     }
 
-    pub(super) fn get(&self, trace: &str) -> Option<&[Row]> {
+    pub(crate) fn get(&self, trace: &str) -> Option<&[Row]> {
         self.by_trace.get(trace).map(Vec::as_slice)
     }
 }

@@ -3,15 +3,18 @@
 
 use crate::format;
 use platebench_document::chart::marks::extent;
-use platebench_document::{Block, Document};
+use platebench_document::format::NOTHING;
+use platebench_document::{Block, Document, Table};
 use platebench_model::quoted;
-use platebench_model::record::ViolationKind;
+use platebench_model::record::{RunRecord, ScenarioRecord, Verdict, ViolationKind};
 use platebench_model::trace::Row;
-use platebench_verdict::golden::TubeComparison;
+use platebench_verdict::golden::{BaselineBuild, JudgedResponse, TubeComparison, judged_values};
 use platebench_verdict::replay::{CommandDifference, ReplayResult};
 use platebench_verdict::tube::{Exceedance, Tube, TubeSignal, signal_response};
 use schemars::JsonSchema;
 use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt::{self, Display, Formatter};
 use std::path::PathBuf;
 
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
@@ -19,31 +22,157 @@ pub struct ScenarioComparison {
     pub scenario: String,
     #[serde(flatten)]
     pub comparison: TubeComparison,
+    #[serde(flatten)]
+    pub changes: ResponseChanges,
     /// File with a drawing of the largest deviation.
     pub drawing: Option<PathBuf>,
+    /// The drawing in characters.
+    #[serde(skip)]
+    pub plot: Vec<String>,
+}
+
+/// What differs from the response that was accepted.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, JsonSchema)]
+pub struct ResponseChanges {
+    /// Law before and now, if it differs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub law: Option<[String; 2]>,
+    /// Rig and firmware before and now, if they differ.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub build: Option<[BaselineBuild; 2]>,
+    /// Values of expectations that differ. All values if there is no reference.
+    pub values: Vec<ValueChange>,
+    /// True if a baseline of an earlier version contains no values.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub values_unknown: bool,
+}
+
+/// A judged value before and now, rounded; `null` if there is none.
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
+pub struct ValueChange {
+    /// Metric, with a number from the second expectation of a metric on.
+    pub name: String,
+    pub before: Option<f64>,
+    pub now: Option<f64>,
+    /// Limit and window of the expectation; absent if this run does not contain it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<String>,
+}
+
+/// The values that differ, in the order of the expectations, then those that only the reference has.
+pub fn value_changes(before: &BTreeMap<String, f64>, scenario: &ScenarioRecord) -> Vec<ValueChange> {
+    let now = judged_values(scenario);
+    let judged = (0..).zip(&scenario.expectations).map(|(index, expectation)| {
+        let window = format::in_window(expectation).map_or_else(String::new, |window| format!(", {window}"));
+        (scenario.metric_key(index), Some(format::limit(expectation) + &window))
+    });
+    let judged: Vec<_> = judged.collect();
+    let is_judged = |name: &String| judged.iter().any(|(key, _)| key == name);
+    let gone: Vec<_> = before.keys().filter(|name| !is_judged(name)).map(|name| (name.clone(), None)).collect();
+    let changes = judged.into_iter().chain(gone).map(|(name, limit)| {
+        let [before, now] = [before, &now].map(|values| values.get(&name).copied());
+        ValueChange { name, before, now, limit }
+    });
+    changes.filter(|change| change.before != change.now).collect()
+}
+
+impl ResponseChanges {
+    pub fn between(before: Option<&JudgedResponse>, record: &RunRecord, scenario: &ScenarioRecord) -> Self {
+        let Some(before) = before else {
+            return Self { values: value_changes(&BTreeMap::new(), scenario), ..Self::default() };
+        };
+        let now = JudgedResponse::of(record, scenario);
+        Self {
+            law: (before.law != now.law).then(|| [before.law.clone(), now.law]),
+            build: (before.build != now.build).then(|| [before.build.clone(), now.build]),
+            values: before.values.as_ref().map(|values| value_changes(values, scenario)).unwrap_or_default(),
+            values_unknown: before.values.is_none(),
+        }
+    }
+
+    /// One line per change, as `settling_time_ms: 1.956 → 1.889`.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        let build = |build: &BaselineBuild| {
+            format!("{} {} on {}", quoted(&build.firmware), quoted(&build.id), quoted(&build.rig))
+        };
+        let law = self.law.iter().map(|[before, now]| format!("  law: {before} → {now}"));
+        let builds = self.build.iter().map(move |[before, now]| format!("  build: {} → {}", build(before), build(now)));
+        law.chain(builds).chain(self.values.iter().map(|change| format!("  {change}")))
+    }
+}
+
+impl Display for ValueChange {
+    fn fmt(&self, formatter: &mut Formatter<'_>) -> fmt::Result {
+        let [before, now] = [self.before, self.now].map(optional_value);
+        write!(formatter, "{}: {before} → {now}", self.name)
+    }
+}
+
+fn optional_value(value: Option<f64>) -> String {
+    value.map_or_else(|| NOTHING.to_owned(), |value| value.to_string())
+}
+
+impl ScenarioComparison {
+    /// The verdict, the largest deviation, the reason, the changes, and the name of the drawing.
+    pub fn blocks(&self) -> Vec<Block> {
+        let drawing = self.drawing.iter().map(|path| format!("  drawing: {}", path.display()));
+        // Without a reference nothing changed.
+        let changes = self.changes.lines().filter(|_| self.comparison.trials > 0);
+        let lines: Vec<_> = self.findings().map(|line| format!("  {line}")).chain(changes).chain(drawing).collect();
+        let trials = format::count(self.comparison.trials, "trial");
+        let verdict = Block::Verdict(self.comparison.verdict, format!("{}  ({trials})", self.scenario));
+        std::iter::once(verdict).chain((!lines.is_empty()).then(|| Block::lines(lines))).collect()
+    }
+
+    fn findings(&self) -> impl Iterator<Item = String> {
+        let TubeComparison { worst, reason, .. } = &self.comparison;
+        let worst = worst.iter().map(|(trial, worst)| format::exceedance(*trial, worst));
+        let unknown = self.changes.values_unknown && self.comparison.verdict != Verdict::Pass;
+        let unknown = unknown.then(|| "an earlier version wrote the baseline, without judged values".to_owned());
+        worst.chain(reason.clone()).chain(unknown)
+    }
+
+    pub fn is_changed(&self) -> bool {
+        self.comparison.verdict != Verdict::Pass || !self.changes.values.is_empty()
+    }
+
+    /// Findings and changed values in one line.
+    pub(crate) fn summary(&self) -> String {
+        let values = self.changes.values.iter().filter(|_| self.comparison.trials > 0).map(ToString::to_string);
+        self.findings().chain(values).collect::<Vec<_>>().join("; ")
+    }
 }
 
 pub fn comparison_document(comparisons: &[ScenarioComparison]) -> Document {
-    let blocks = comparisons.iter().flat_map(|ScenarioComparison { scenario, comparison, drawing }| {
-        let drawing = drawing.iter().map(|path| format!("  drawing: {}", path.display()));
-        comparison_blocks(scenario, comparison, drawing)
-    });
-    Document::new("Comparison of responses", blocks.collect())
+    Document::new("Comparison of responses", comparisons.iter().flat_map(ScenarioComparison::blocks).collect())
 }
 
-/// The verdict, the largest deviation and the reason, followed by `further` lines.
-pub fn comparison_blocks(
-    name: &str,
-    comparison: &TubeComparison,
-    further: impl IntoIterator<Item = String>,
-) -> Vec<Block> {
-    let trials = format::count(comparison.trials, "trial");
-    let mut lines = Vec::new();
-    lines.extend(comparison.worst.as_ref().map(|(trial, worst)| format!("  {}", format::exceedance(*trial, worst))));
-    lines.extend(comparison.reason.as_ref().map(|reason| format!("  {reason}")));
-    lines.extend(further);
-    let verdict = Block::Verdict(comparison.verdict, format!("{name}  ({trials})"));
-    std::iter::once(verdict).chain((!lines.is_empty()).then(|| Block::lines(lines))).collect()
+/// Changed scenarios, failed ones first.
+pub(crate) fn changed_scenarios(comparisons: &[ScenarioComparison]) -> Vec<&ScenarioComparison> {
+    let mut changed: Vec<_> = comparisons.iter().filter(|one| one.is_changed()).collect();
+    changed.sort_by_key(|one| match one.comparison.verdict {
+        Verdict::Fail => 0,
+        Verdict::Inconclusive => 1,
+        Verdict::Pass => 2,
+    });
+    changed
+}
+
+/// A row per changed value of each changed scenario, or one with the findings.
+pub(crate) fn changes_table(changed: &[&ScenarioComparison]) -> Table {
+    let mut table = Table::new(["", "Scenario", "Judged", "Before", "Now", "Limit"]);
+    for one in changed {
+        let sign = format::sign(one.comparison.verdict);
+        for ValueChange { name, before, now, limit } in &one.changes.values {
+            let [before, now] = [*before, *now].map(optional_value);
+            table.push([sign, &one.scenario, name, &before, &now, limit.as_deref().unwrap_or(NOTHING)]);
+        }
+        if one.changes.values.is_empty() {
+            let reason = one.comparison.reason.as_deref().unwrap_or("no judged value changed");
+            table.push([sign, &one.scenario, reason, NOTHING, NOTHING, NOTHING]);
+        }
+    }
+    table
 }
 
 const COLUMNS: usize = 64;
@@ -51,13 +180,7 @@ const ROWS: usize = 12;
 const MARGIN_MS: f64 = 5.0;
 
 /// Draws the tube as `.`, the golden curve as `-` and the response as `#`.
-pub fn tube_plot_document(tube: &Tube, rows: &[Row], trial: u32, worst: &Exceedance) -> Document {
-    let place = format!("  {}", format::exceedance(trial, worst));
-    let lines = std::iter::once(place).chain(tube_plot(tube, rows, worst));
-    Document::new("Response outside its tolerance tube", vec![Block::lines(lines)])
-}
-
-fn tube_plot(tube: &Tube, rows: &[Row], worst: &Exceedance) -> Vec<String> {
+pub fn tube_plot(tube: &Tube, rows: &[Row], worst: &Exceedance) -> Vec<String> {
     let (first, last) = tube.span_ms();
     let (from, to) = ((worst.t_ms - MARGIN_MS).max(first), (worst.t_ms + MARGIN_MS).min(last));
     let response = TubeSignal::from_name(&tube.signal).map(|signal| signal_response(signal, rows)).unwrap_or_default();
@@ -152,7 +275,8 @@ mod tests {
         let (good, bad) = (rows(2.0), rows(2.5));
         let comparison = GoldenTubes::from_rows(&good).unwrap().compare([(0, good.as_slice()), (7, bad.as_slice())]);
         let (scenario, drawing) = ("paper/step.toml".to_owned(), Some("comparison/paper/step.svg".into()));
-        let compared = ScenarioComparison { scenario, comparison, drawing };
+        let changes = ResponseChanges::default();
+        let compared = ScenarioComparison { scenario, comparison, changes, drawing, plot: Vec::new() };
         assert_eq!(
             comparison_document(&[compared]).to_console(None, Style::default()),
             "✗ fail  paper/step.toml  (2 trials)\n  \

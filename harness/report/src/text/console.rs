@@ -156,6 +156,9 @@ fn write_summary(text: &mut String, record: &RunRecord, style: Style, in_full: b
     write_hints(text, record, style, in_full);
 }
 
+/// Slowest `--time-scale`.
+const SLOWEST_TIME_SCALE: f64 = 0.001;
+
 /// Hints stand at the end, where a reader of a terminal sees them.
 fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: bool) {
     let tight = record_queries::tight_steps(record).into_iter();
@@ -164,10 +167,13 @@ fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: boo
     let symptoms = record_queries::symptoms(record)
         .map(|(scenario, trial, symptom)| format!("{}: {}", scenario.file, format::symptom(scenario, trial, symptom)));
     write_warnings(text, &symptoms.collect::<Vec<_>>(), "a likely cause", style, in_full);
-    if record_queries::is_late_in_real_time(record) {
-        let hint = "with a slower --time-scale, for example 0.1, bench and line have more time per period; with \
-                    --clock lockstep time waits for each answer";
-        style.write_wrapped(text, "hint: ", "  ", hint);
+    if let Some(scale) = record_queries::late_time_scale(record) {
+        let hint = format!(
+            "with a slower --time-scale, for example {}, bench and line have more time per period; with --clock \
+             lockstep time waits for each answer",
+            format::number((scale / 10.0).max(SLOWEST_TIME_SCALE))
+        );
+        style.write_wrapped(text, "hint: ", "  ", &hint);
     }
     if let Some(instances) = record_queries::unmodelled_instances(record) {
         let hint = format!("the emulated chip has no model of {instances}: the writes changed nothing");

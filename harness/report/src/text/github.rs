@@ -1,15 +1,17 @@
-//! Writes a run for GitHub and for code review: workflow commands, and one page of Markdown.
+//! Writes a run or a comparison for GitHub and for code review: workflow commands, and one page of
+//! Markdown.
 //!
 //! A failure is an `error`, inconclusive is a `warning`. Failures come first, because GitHub shows
 //! ten annotations of a kind per step. GitHub rejects a summary above 1 MiB, so a table has at most
 //! `MAX_ROWS` rows.
 
+use crate::comparison::{ScenarioComparison, changed_scenarios, changes_table};
 use crate::record_queries::OwnVerdict;
 use crate::{format, record_queries};
 use platebench_document::{Block, Document, Table};
 use platebench_model::printable::{printable, printable_lines};
 use platebench_model::record::{RunRecord, ScenarioRecord, Verdict, VerdictCounts};
-use platebench_model::trace::{AtPath, FileError, write_named_by_user};
+use platebench_model::trace::{AtPath, FileError};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;
@@ -56,7 +58,11 @@ pub fn workflow_commands(
 }
 
 fn workflow_command(verdict: Verdict, location: Option<SourceLocation>, title: &str, message: &str) -> String {
-    let level = if verdict == Verdict::Fail { "error" } else { "warning" };
+    let level = match verdict {
+        Verdict::Fail => "error",
+        Verdict::Inconclusive => "warning",
+        Verdict::Pass => "notice",
+    };
     let location = location.map_or_else(String::new, |SourceLocation { file, line }| {
         format!("file={},line={line},", workflow_property(&file))
     });
@@ -73,14 +79,10 @@ fn workflow_property(text: &str) -> String {
 
 const MAX_ROWS: usize = 200;
 
-pub fn write_markdown(record: &RunRecord, path: &Path) -> Result<(), FileError> {
-    write_named_by_user(path, render_page(record))
-}
-
 #[expect(clippy::disallowed_methods, reason = "GitHub names this file, and each step appends to it")]
-pub fn append_markdown(record: &RunRecord, path: &Path) -> Result<(), FileError> {
+pub fn append_markdown(page: &str, path: &Path) -> Result<(), FileError> {
     let file = fs::OpenOptions::new().append(true).create(true).open(path);
-    file.and_then(|mut file| file.write_all(format!("{}\n", render_page(record)).as_bytes())).at(path)
+    file.and_then(|mut file| file.write_all(format!("{page}\n").as_bytes())).at(path)
 }
 
 pub fn render_page(record: &RunRecord) -> String {
@@ -101,13 +103,63 @@ pub fn render_page(record: &RunRecord) -> String {
         blocks.push(Block::heading("Check the amplifier before you touch the plate."));
     }
     let tables = [not_passed_table(record), scenarios_table(record), not_applicable_table(record)];
-    for mut table in tables.into_iter().filter(|table| !table.rows.is_empty()) {
-        let further = table.rows.len().saturating_sub(MAX_ROWS);
-        table.rows.truncate(MAX_ROWS);
-        blocks.push(Block::Table(table));
-        blocks.extend((further > 0).then(|| Block::Paragraph(format!("… and {further} more."))));
-    }
+    blocks.extend(tables.into_iter().flat_map(table_blocks));
+    markdown(blocks)
+}
+
+fn markdown(blocks: Vec<Block>) -> String {
     Document::new("", blocks).blocks_to_markdown().trim_start().to_owned()
+}
+
+/// No block for a table without rows.
+fn table_blocks(mut table: Table) -> Vec<Block> {
+    let further = table.rows.len().saturating_sub(MAX_ROWS);
+    table.rows.truncate(MAX_ROWS);
+    let further = (further > 0).then(|| Block::Paragraph(format!("… and {further} more.")));
+    (!table.rows.is_empty()).then_some(Block::Table(table)).into_iter().chain(further).collect()
+}
+
+/// A comparison for a reviewer.
+#[derive(Debug)]
+pub struct ComparisonPage<'a> {
+    pub heading: String,
+    /// Numbers of scenarios, or why nothing was compared.
+    pub reason: &'a str,
+    pub comparisons: &'a [ScenarioComparison],
+    /// Command that accepts the changes. `None` if the reference is no baseline.
+    pub accept: Option<String>,
+}
+
+const MAX_PLOTS: usize = 10;
+
+impl ComparisonPage<'_> {
+    pub fn render(&self) -> String {
+        let changed = changed_scenarios(self.comparisons);
+        let mut blocks = vec![Block::heading(&self.heading), Block::paragraph(self.reason)];
+        blocks.extend(table_blocks(changes_table(&changed)));
+        if let Some(command) = self.accept.as_ref().filter(|_| !changed.is_empty()) {
+            let intended = "If the changes are intended, accept them and commit the files that the command writes. It \
+                            accepts scenarios that passed.";
+            blocks.extend([Block::paragraph(intended), Block::lines([command.clone()])]);
+        }
+        for one in changed.into_iter().filter(|one| !one.plot.is_empty()).take(MAX_PLOTS) {
+            blocks.extend(one.blocks());
+            blocks.push(Block::lines(one.plot.iter().cloned()));
+            blocks.extend(one.drawing.as_ref().map(|drawing| Block::File(drawing.display().to_string())));
+        }
+        markdown(blocks)
+    }
+
+    /// `location` returns the file of the reference of a scenario.
+    pub fn workflow_commands(&self, location: &dyn Fn(&str) -> Option<SourceLocation>) -> String {
+        let command = |one: &ScenarioComparison| {
+            let accept = self.accept.iter().map(|command| format!("\nif this is intended: {command}"));
+            let message = std::iter::once(one.summary()).chain(accept).collect::<String>();
+            let title = format!("{}: the response changed", one.scenario);
+            workflow_command(one.comparison.verdict, location(&one.scenario), &title, &message)
+        };
+        changed_scenarios(self.comparisons).into_iter().map(command).collect()
+    }
 }
 
 fn not_passed_table(record: &RunRecord) -> Table {

@@ -4,6 +4,7 @@ use crate::fixtures::{self, StoredRun};
 use parquet::file::metadata::RowGroupMetaData;
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use platebench_report::export::{ExportError, ExportFormat, ExportResult, export};
+use platebench_report::page::RowCache;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
@@ -15,7 +16,7 @@ fn export_folder(run: &StoredRun) -> PathBuf {
 
 fn export_run(run: &StoredRun, scenarios: &[&str], format: ExportFormat) -> Result<ExportResult, ExportError> {
     let scenarios: Vec<String> = scenarios.iter().map(ToString::to_string).collect();
-    export(&run.record, run.folder.path(), &scenarios, format, Some(&export_folder(run)))
+    export(&run.record, run.folder.path(), &RowCache::default(), &scenarios, format, Some(&export_folder(run)))
 }
 
 fn relative_files(folder: &Path) -> Vec<String> {

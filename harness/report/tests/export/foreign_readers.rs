@@ -4,6 +4,7 @@ use crate::fixtures::{self, StoredRun};
 use platebench_model::trace::Row;
 use platebench_report::export::{ExportFormat, export};
 use platebench_report::export::{FLAG_COLUMNS, NUMBER_COLUMNS};
+use platebench_report::page::RowCache;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -34,7 +35,7 @@ fn read_with_python(format: &str, path: &Path) -> Value {
 
 fn export_run(run: &StoredRun, format: ExportFormat) -> PathBuf {
     let out = run.folder.path().join("export");
-    let exported = export(&run.record, run.folder.path(), &[], format, Some(&out)).unwrap();
+    let exported = export(&run.record, run.folder.path(), &RowCache::default(), &[], format, Some(&out)).unwrap();
     assert_eq!(exported.incomplete_trials, 0);
     out
 }

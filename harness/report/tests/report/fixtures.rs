@@ -10,7 +10,7 @@ use platebench_model::scenario::expect::SIGNALS;
 use platebench_model::scenario::{Expectation, Window};
 use platebench_model::trace::read_trace;
 use platebench_plate::Time;
-use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, ResponseFeatures};
+use platebench_verdict::golden::{Baseline, BaselineBuild, GoldenTubes, JudgedResponse, judged_values};
 use platebench_verdict::metrics::measure_with_instants;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -448,9 +448,7 @@ pub(crate) fn write_baseline(scenario: &ScenarioRecord, folder: &Path, baselines
         BaselineBuild { rig: "hosted".to_owned(), firmware: "dq-pi 0.1.0".to_owned(), id: "5f3a9c01".to_owned() };
     let baseline = Baseline {
         scenario: scenario.file.clone(),
-        law: scenario.law.clone(),
-        build,
-        features: ResponseFeatures::of(&rows),
+        response: JudgedResponse { law: scenario.law.clone(), build, values: Some(judged_values(scenario)) },
         learned: None,
         golden: GoldenTubes::from_rows(&rows).unwrap(),
     };

@@ -117,19 +117,41 @@ fn allows_some_trials_outside_a_learned_tube(
 fn baseline() -> Baseline {
     Baseline {
         scenario: "paper/step.toml".to_owned(),
-        law: "dq-pi".to_owned(),
-        build: BaselineBuild { rig: "hosted".to_owned(), firmware: "dq 0.1.0".to_owned(), id: "0123abcd".to_owned() },
-        features: ResponseFeatures::of(&rows(0.0, 1.0)),
+        response: JudgedResponse {
+            law: "dq-pi".to_owned(),
+            build: BaselineBuild {
+                rig: "hosted".to_owned(),
+                firmware: "dq 0.1.0".to_owned(),
+                id: "0123abcd".to_owned(),
+            },
+            values: Some([("settling_time_ms[2]".to_owned(), 1.956), ("drive_peak_vpp".to_owned(), 551.4)].into()),
+        },
         learned: None,
         golden: golden(),
     }
 }
 
+#[rstest]
+#[case(1.955_51, 1.956)]
+#[case(551.449, 551.4)]
+#[case(32_307.61, 32_310.0)]
+#[case(0.000_149, 0.0001)]
+#[case(-1.3e-10, 0.0)]
+#[case(f64::INFINITY, f64::INFINITY)]
+fn rounds_judged_values(#[case] value: f64, #[case] expected: f64) {
+    assert_eq!(rounded(value).to_bits(), expected.to_bits());
+}
+
 #[test]
-fn rounds_features() {
-    let ResponseFeatures { settling_time_ms, overshoot_percent, drive_peak_vpp } = baseline().features;
-    assert_eq!((settling_time_ms, overshoot_percent, drive_peak_vpp), (Some(5.63), Some(0.0), Some(287.0)));
-    assert_eq!(ResponseFeatures::of(&[]), ResponseFeatures::default());
+fn reads_a_baseline_of_an_earlier_version() {
+    let folder = TempDir::new().unwrap();
+    baseline().write(folder.path()).unwrap();
+    let path = folder.path().join("paper/step.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("[judged]", "[features]")).unwrap();
+    let old = Baseline::read(folder.path(), "paper/step.toml").unwrap().unwrap();
+    assert_eq!(old.response.values, None);
+    assert_eq!(old.golden.tubes.len(), baseline().golden.tubes.len());
 }
 
 #[test]
@@ -154,7 +176,7 @@ fn round_trips_within_a_thousandth_of_the_tolerance() {
         before.write(folder.path()).unwrap();
         let after = Baseline::read(folder.path(), "paper/step.toml").unwrap().unwrap();
         assert_eq!(after.to_texts(), before.to_texts());
-        assert_eq!((&after.features, &after.build, &after.learned), (&before.features, &before.build, &before.learned));
+        assert_eq!((&after.response, &after.learned), (&before.response, &before.learned));
         assert_eq!(after.golden.false_alarm_rate, before.golden.false_alarm_rate);
         for (one, other) in before.golden.tubes.iter().zip(&after.golden.tubes) {
             for (one, other) in one.points.iter().zip(&other.points) {
