@@ -1,9 +1,10 @@
 //! Turns the windows of a trial into expectations, the properties that every scene must have.
 
-use crate::explore::generator::{EDGE_US, MAX_STEADY_DRIVE};
+use crate::explore::generator::MAX_STEADY_DRIVE;
 use crate::explore::limits::{BAND, Knowledge, Limits};
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Relation, Scene, SceneTrial};
+use crate::explore::timeline::EDGE_US;
 use platebench_model::scenario::Metric;
 use platebench_plate::Plate;
 use schemars::JsonSchema;

@@ -3,6 +3,7 @@
 
 use crate::fixtures::configuration;
 use platebench_engine::SafeEnds;
+use platebench_experiments::explore::choices::Drawn;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::{ExploreConfig, Player, explore};
@@ -103,7 +104,7 @@ fn a_slow_rig_skips_long_runs() {
     let slow = SequenceLimits { longest: 2_000, ..limits() };
     let config = ExploreConfig { sequences: Some(slow), ..configuration(LawId::DqPi, 8) };
     let result = play(&config, &|| Box::new(HostedLink::new()));
-    let is_long = |index: &u64| SequenceLimits::cost(&limits().sequence(config.seed, *index)) > 2_000;
+    let is_long = |index: &u64| SequenceLimits::cost(&limits().sequence(config.seed, *index).item) > 2_000;
     let skipped = (0..24).filter(is_long).count() as u64;
     // Many configurations and many samples at least.
     assert!((2..12).contains(&skipped), "{skipped}");
@@ -115,8 +116,9 @@ fn a_sequence_is_equal_as_a_file() {
     let config = configuration(LawId::DqPi, 1);
     let folder = tempfile::tempdir().unwrap();
     for index in 0..72 {
-        let sequence = limits().sequence(7, index);
-        assert_eq!(limits().sequence(7, index), sequence);
+        let Drawn { item: sequence, choices } = limits().sequence(7, index);
+        assert_eq!(limits().sequence(7, index).item, sequence);
+        assert_eq!(limits().replay(&choices), Drawn { item: sequence.clone(), choices }, "{index}");
         // One in eleven starts before the first configuration.
         assert_eq!(matches!(sequence.first(), Some(ScenarioMessage::Configure(_))), index % 11 != 10);
         config.sequence_scenario(&sequence, "A sequence", "").write(folder.path(), "sequence", &[]).unwrap();
@@ -132,7 +134,7 @@ fn survivors(faults: &[MutantSpec], limits: &SequenceLimits, config: &ExploreCon
         let connect = || Ok::<_, ConnectError>(fault.link());
         let mut player = Player::new(&connect, false, &cancel, &ends);
         (0..count).all(|index| {
-            let messages = limits.sequence(config.seed, index);
+            let messages = limits.sequence(config.seed, index).item;
             let scenario = config.sequence_scenario(&messages, "A sequence", "").check().unwrap();
             player.play(&scenario).unwrap().unwrap().failures.is_empty()
         })
