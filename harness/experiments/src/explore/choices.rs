@@ -204,7 +204,7 @@ impl DrawLists for Choices {
 }
 
 fn last(count: usize) -> i32 {
-    count.saturating_sub(1) as u32 as i32
+    (count.saturating_sub(1) as u32).cast_signed()
 }
 
 pub(crate) fn below(random: &mut ChaCha8Rng, count: usize) -> usize {
@@ -225,7 +225,7 @@ pub(crate) fn weighted(random: &mut ChaCha8Rng, weights: &[u32]) -> i32 {
         }
         None => true,
     };
-    weights.iter().position(is_over).unwrap_or(0) as u32 as i32
+    (weights.iter().position(is_over).unwrap_or(0) as u32).cast_signed()
 }
 
 /// All choices of a record, a part before what it contains, with true for parts of lists.

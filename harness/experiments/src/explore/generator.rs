@@ -283,10 +283,8 @@ impl Generator<'_> {
             None if stratum.gaps.is_empty() => self.envelope.count.events,
             None => ENDURANCE_EVENTS,
         };
-        let mut timeline = Timeline::new(self.envelope, choices, &trial);
-        timeline.add_events(stratum, events);
-        let (_, tail_us) = timeline.gap(false, None);
-        trial.duration_us = timeline.now_us.max(1) + tail_us.max(least_tail * trial.period_us);
+        let mut timeline = Timeline::draw(self.envelope, choices, &trial, stratum, events);
+        trial.duration_us = timeline.now_us.max(1) + timeline.tail_us().max(least_tail * trial.period_us);
         [trial.force, trial.temperature] = timeline.force_and_temperature();
         let range = &self.envelope.range;
         match sine {

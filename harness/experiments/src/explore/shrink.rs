@@ -81,10 +81,10 @@ fn violated_demands(demands: Vec<Demand>, scene: &Scene, failure: &SceneFailure)
 }
 
 /// A sequence of messages, with the difference if it failed again, and the number of replays.
-pub(crate) type MinimalSequence = (Vec<ScenarioMessage>, Option<String>, u32);
+pub type MinimalSequence = (Vec<ScenarioMessage>, Option<String>, u32);
 
 /// As [`shrink_scene`], for a sequence of messages.
-pub(crate) fn shrink_sequence(
+pub fn shrink_sequence(
     config: &ExploreConfig,
     player: &mut Player<'_>,
     failed: &FailedSequence,

@@ -68,8 +68,10 @@ const STAIR_TENTHS: u32 = 7;
 /// rate.
 const MAX_RAMP_S: f64 = 0.1;
 const MAX_SETPOINT_RAMP_S: f64 = 0.3;
-/// Weight of the usual value against 11 of all other values, at the start of a trial.
+/// Weight of no force and no change of temperature against 11 of all other values, at the start of a
+/// trial, and later, so that a finger often leaves.
 const AT_START: u32 = 15;
+const LATER: u32 = 5;
 
 /// A setpoint, force or temperature of a trial.
 struct Quantity {
@@ -79,23 +81,30 @@ struct Quantity {
     /// Distance of drawn values from each other, and a small step.
     step: i32,
     near: i32,
+    /// Weight of the usual value after another one.
+    usual_weight: u32,
     values: Vec<i32>,
     course: CourseBuilder,
 }
 
 impl Quantity {
-    fn new(range: [f64; 2], usual: f64, scale: f64, [step, near]: [i32; 2]) -> Self {
+    fn new(range: [f64; 2], usual: f64, scale: f64, [step, near]: [i32; 2], usual_weight: u32) -> Self {
         let [low, high] = range.map(|value| (value * scale).round() as i32);
         let usual = ((usual * scale).round() as i32).min(high).max(low);
-        Self { range: [low, high], usual, step, near, values: Vec::new(), course: CourseBuilder::default() }
+        let course = CourseBuilder::default();
+        Self { range: [low, high], usual, step, near, usual_weight, values: Vec::new(), course }
     }
 
     /// Draws a value relative to the usual value or to earlier values. Its choice is the distance from
     /// the usual value.
-    fn draw(&mut self, choices: &mut Choices, usual_weight: u32) -> i32 {
-        let Self { range: [low, high], usual, step, near, .. } = *self;
+    fn draw(&mut self, choices: &mut Choices) -> i32 {
+        let Self { range: [low, high], usual, step, near, usual_weight, .. } = *self;
         let values = &self.values;
         let last = values.last().copied().unwrap_or(usual);
+        let usual_weight = match values.last() {
+            None => AT_START * usual_weight.min(1),
+            Some(_) => usual_weight * u32::from(last != usual),
+        };
         let distance = choices.number(low - usual..=high - usual, |random| {
             let value = match weighted(random, &[usual_weight, 6, 2, 1, 1, 1]) {
                 0 => usual,
@@ -114,20 +123,15 @@ impl Quantity {
         usual + distance
     }
 
-    fn start(&mut self, choices: &mut Choices, usual_weight: u32) {
-        let value = self.draw(choices, usual_weight);
-        self.course.step(0, value);
-    }
-
     fn step(&mut self, choices: &mut Choices, at_us: u32) -> u32 {
-        let value = self.draw(choices, 0);
+        let value = self.draw(choices);
         self.course.step(at_us, value);
         at_us
     }
 
     /// Ramps force or temperature. Returns the end of the ramp, µs.
     fn ramp(&mut self, choices: &mut Choices, rates: [f64; 2], at_us: u32) -> u32 {
-        let to = self.draw(choices, 0);
+        let to = self.draw(choices);
         let rate = rate(choices, rates) * 100.0;
         let seconds = f64::from((to - self.course.last()).abs()) / rate;
         self.course.ramp(at_us, ramp_us(seconds.min(MAX_RAMP_S)), to)
@@ -141,6 +145,8 @@ pub(crate) struct Timeline<'a, 'c> {
     /// Factor of quiet times. It is larger for long periods and for slow laws.
     stretch: f64,
     pub(crate) now_us: u32,
+    /// The time without changes from now on.
+    gap: (GapKind, u32),
     setpoint: Quantity,
     force: Quantity,
     temperature: Quantity,
@@ -153,24 +159,39 @@ impl DrawLists for Timeline<'_, '_> {
 }
 
 impl<'a, 'c> Timeline<'a, 'c> {
-    /// `trial` has the configuration.
-    pub(crate) fn new(envelope: &'a Envelope, choices: &'c mut Choices, trial: &SceneTrial) -> Self {
+    /// Draws the values at the start, and the events. `trial` has the configuration. The stratum
+    /// determines the first events.
+    pub(crate) fn draw(
+        envelope: &'a Envelope,
+        choices: &'c mut Choices,
+        trial: &SceneTrial,
+        stratum: &Stratum,
+        [fewest, most]: [u32; 2],
+    ) -> Self {
         let range = &envelope.range;
-        let mut setpoint = Quantity::new(range.setpoint_um, 1.0, 1e3, [5, 5]);
-        let mut force = Quantity::new(range.finger_force_n, 0.0, 100.0, [5, 2]);
-        let mut temperature = Quantity::new(range.temperature_offset_k, 0.0, 100.0, [25, 10]);
-        setpoint.start(choices, 0);
-        force.start(choices, AT_START);
-        temperature.start(choices, AT_START);
+        let mut setpoint = Quantity::new(range.setpoint_um, 1.0, 1e3, [5, 5], 0);
+        let mut force = Quantity::new(range.finger_force_n, 0.0, 100.0, [5, 2], LATER);
+        let mut temperature = Quantity::new(range.temperature_offset_k, 0.0, 100.0, [25, 10], LATER);
+        for quantity in [&mut setpoint, &mut force, &mut temperature] {
+            quantity.step(choices, 0);
+        }
         let period_ms = f64::from(trial.period_us) / 1e3;
         let stretch = period_ms.max(1.0) * trial.law.stretch();
-        Self { envelope, choices, period_us: trial.period_us, stretch, now_us: 0, setpoint, force, temperature }
+        let (period_us, gap) = (trial.period_us, (GapKind::Quiet, 0));
+        let mut timeline = Self { envelope, choices, period_us, stretch, now_us: 0, gap, setpoint, force, temperature };
+        timeline.gap = timeline.gap(stratum, 0);
+        let given = stratum.kinds.len() as u32;
+        timeline.list(Part::Event, fewest.max(given)..=most.max(given), |timeline, number| {
+            timeline.add(stratum, number);
+            // The time after an event belongs to it, so that shrinking can remove the next event.
+            timeline.gap = timeline.gap(stratum, number + 1);
+        });
+        timeline
     }
 
-    /// Draws the events. The stratum determines the first ones.
-    pub(crate) fn add_events(&mut self, stratum: &Stratum, [fewest, most]: [u32; 2]) {
-        let given = stratum.kinds.len() as u32;
-        self.list(Part::Event, fewest.max(given)..=most.max(given), |timeline, number| timeline.add(stratum, number));
+    /// The time after the last event, µs.
+    pub(crate) const fn tail_us(&self) -> u32 {
+        self.gap.1
     }
 
     /// The courses of force and temperature, once.
@@ -183,8 +204,10 @@ impl<'a, 'c> Timeline<'a, 'c> {
         self.setpoint.course.limited(highest).finish()
     }
 
-    /// Draws a time without changes, µs.
-    pub(crate) fn gap(&mut self, is_long: bool, given: Option<(GapKind, i32)>) -> (GapKind, u32) {
+    /// Draws a time without changes, µs, before the event with this number.
+    fn gap(&mut self, stratum: &Stratum, event: usize) -> (GapKind, u32) {
+        let is_long = stratum.is_long && event < stratum.kinds.len();
+        let given = stratum.gaps.get(event).copied();
         let Self { envelope, choices, period_us, now_us, stretch, .. } = self;
         let (period_us, now_us) = (*period_us, *now_us);
         let [low, high] = envelope.range.quiet_ms;
@@ -223,7 +246,7 @@ impl<'a, 'c> Timeline<'a, 'c> {
         let given = stratum.kinds.get(number).map(|kind| *kind as i32);
         let kind = self.choices.given(given, 0..=8) as usize;
         let kind = EventKind::ALL.get(kind).copied().unwrap_or(EventKind::Step);
-        let (gap_kind, gap_us) = self.gap(stratum.is_long && given.is_some(), stratum.gaps.get(number).copied());
+        let (gap_kind, gap_us) = self.gap;
         let is_aligned = self.choices.integer(0..=1) == 0;
         let mut at = self.now_us + gap_us.max(100);
         if is_aligned || gap_kind == GapKind::CounterEnd {
@@ -254,7 +277,7 @@ impl<'a, 'c> Timeline<'a, 'c> {
 
     fn add_staircase(&mut self, at: u32) -> u32 {
         let from = self.setpoint.values.last().copied().unwrap_or(0);
-        let to = self.setpoint.draw(self.choices, 0);
+        let to = self.setpoint.draw(self.choices);
         let step_us = self.period_us * (STAIR_TENTHS + self.choices.integer(0..=25).unsigned_abs()) / 10;
         let count = self.choices.number(2..=40, |random| match weighted(random, &[7, 1]) {
             0 => uniform(random, &(2..=8)),
@@ -271,7 +294,7 @@ impl<'a, 'c> Timeline<'a, 'c> {
     /// A slow ramp ends before its level is reached.
     fn ramp_setpoint(&mut self, at: u32) -> u32 {
         let from = self.setpoint.course.last();
-        let level = self.setpoint.draw(self.choices, 0);
+        let level = self.setpoint.draw(self.choices);
         let rate = rate(self.choices, self.envelope.range.setpoint_rate_um_per_s) * 1e3;
         let reach = (rate * MAX_SETPOINT_RAMP_S) as i32;
         let to = level.clamp(from - reach, from + reach);

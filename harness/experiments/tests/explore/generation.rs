@@ -149,9 +149,37 @@ fn the_noise_of_the_frequency_limit_grows_with_the_damping() {
             config.demands(&Scene { earlier: Vec::new(), judged, count: 1, script_seed: None, relation: None });
         demands.iter().find(|demand| demand.property == Property::Frequency).unwrap().at_most
     };
-    // Six standard deviations of 2.5 nm are 3 % of 0.5 µm. A finger of 1.5 N doubles the damping.
-    let of_noise = 0.03 / (TAU * 1.88e-3);
+    // Six standard deviations of 2.5 nm are 3 % of 0.5 µm. A finger of 1.5 N doubles the damping. The
+    // loop multiplies the apparent detuning by (1 − e^(−3T/2 ms))/(1 − e^(−σT)).
+    let of_noise = |ratio: f64| {
+        let gain = (1.0 - (-3.0 * 0.9_f64 / 2.0).exp()) / (1.0 - (-ratio * 0.9 / 1.88).exp());
+        gain * ratio * 0.03 / (TAU * 1.88e-3)
+    };
     let (free, damped) = (limit(0), limit(150));
-    assert!((free - 0.5 - of_noise).abs() < 1e-3, "{free}");
-    assert!((damped - 0.5 - 2.0 * of_noise).abs() < 1e-3, "{damped}");
+    assert!((free - 0.5 - of_noise(1.0)).abs() < 1e-3, "{free}");
+    assert!((damped - 0.5 - of_noise(2.0)).abs() < 1e-3, "{damped}");
+}
+
+#[test]
+fn tracking_is_judged_after_an_unsteady_start() {
+    let config = configuration(LawId::DqPi, 1);
+    let simplest = config.generator().replay(&[]).item;
+    let tracking = |start_us: u32, end_us: u32| {
+        let judged = SceneTrial {
+            duration_us: end_us + 50_000,
+            setpoint: Course::Linear(vec![(0, 500), (start_us, 500), (end_us, 1_500)]),
+            ..simplest.judged.clone()
+        };
+        let demands = config.demands(&Scene { judged, ..simplest.clone() });
+        let tracking = demands.iter().find(|demand| demand.property == Property::Tracking);
+        tracking.map(|demand| (demand.from_us, demand.until_us))
+    };
+    // From a steady state, a ramp is judged from its start.
+    assert_eq!(tracking(200_000, 400_000), Some((200_000, 400_000)));
+    let (from_us, until_us) = tracking(5_000, 400_000).unwrap();
+    assert!((5_000..40_000).contains(&from_us) && until_us == 400_000, "{from_us}, {until_us}");
+    // Four periods are the shortest window. Ramps that end at a control instant are steady equally late.
+    let shortest = (from_us + 4_000).next_multiple_of(1_000);
+    assert_eq!(tracking(5_000, shortest), Some((from_us, shortest)));
+    assert_eq!(tracking(5_000, shortest - 1_000), None);
 }

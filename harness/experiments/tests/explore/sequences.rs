@@ -6,12 +6,14 @@ use platebench_engine::SafeEnds;
 use platebench_experiments::explore::choices::Drawn;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
+use platebench_experiments::explore::shrink::shrink_sequence;
 use platebench_experiments::explore::{ExploreConfig, Player, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, protocol_faults};
 use platebench_model::scenario::{ScenarioMessage, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
 use platebench_wire::{Configure, LawId, Message};
 use rstest::rstest;
+use std::time::Duration;
 
 fn limits() -> SequenceLimits {
     SequenceLimits {
@@ -88,6 +90,22 @@ fn sequences_find_faults_of_every_law(
     let config = ExploreConfig { sequences: Some(limits()), max_failed: 1, jobs: 1, ..configuration(law, 24) };
     let result = play(&config, &|| Box::new(MutantController::new(HostedLink::new(), mutant)));
     assert!(!result.failed_sequences.is_empty(), "{:?}", result.sequences);
+}
+
+#[rstest]
+#[case::infinite_wq(|| boxed(accepts_infinite_wq), 2)]
+#[case::timer(|| boxed(timer_of_eight_bits), 4)]
+fn a_failing_sequence_shrinks_to_few_messages(#[case] mutant: fn() -> Box<dyn Mutant>, #[case] most: usize) {
+    let config = ExploreConfig { sequences: Some(limits()), max_failed: 1, jobs: 1, ..configuration(LawId::DqPi, 24) };
+    let link = || Box::new(MutantController::new(HostedLink::new(), mutant)) as BoxedLink;
+    let result = play(&config, &link);
+    let connect = || Ok::<_, ConnectError>(link());
+    let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
+    let mut player = Player::new(&connect, false, &cancel, &ends);
+    let failed = &result.failed_sequences[0];
+    let time = Duration::from_hours(1);
+    let (messages, difference, _) = shrink_sequence(&config, &mut player, failed, failed.properties[0], time).unwrap();
+    assert!(messages.len() <= most && difference.is_some(), "{messages:?}");
 }
 
 #[test]
