@@ -42,7 +42,7 @@ const MANY_REJECTED: u32 = 300;
 /// Short timeouts of the watchdog, ms, only in simulated time.
 const SHORT_TIMEOUTS_MS: [u16; 6] = [50, 100, 254, 255, 256, 257];
 /// Timeouts whose microseconds, or cycles of a clock of some 100 MHz, need 32 bits, ms.
-const WATCHED_TIMEOUTS_MS: [u16; 6] = [1_000, 16_384, 25_570, 32_767, 32_768, 65_535];
+const WATCHED_TIMEOUTS_MS: [u16; 6] = [40_000, 16_384, 25_570, 32_767, 32_768, 65_535];
 /// Control periods, µs. Five of each need more than 32 bits. The last is the longest.
 const LONG_PERIODS_US: [u32; 3] = [860_000_000, 1_000_000_000, u32::MAX];
 /// Distances of the end of a silence from the timeout, ms; near ones only on a rig with exact time.
