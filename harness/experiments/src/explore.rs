@@ -8,14 +8,15 @@
 //! a failing scene minimal. [`mod@session`] does all of this and writes the minimal scenes as
 //! scenarios. [`mod@kill_rate`] measures which mutants an exploration finds.
 
+pub mod choices;
 pub mod coverage;
-mod draw;
 pub mod envelope;
 pub mod exploration;
 pub mod generator;
 pub mod guidance;
 pub mod kill_rate;
 mod limits;
+mod messages;
 mod own_law;
 pub mod player;
 pub mod properties;
@@ -25,6 +26,7 @@ pub mod scene;
 pub mod sequence;
 pub mod session;
 pub mod shrink;
+mod timeline;
 
 pub use envelope::{Envelope, RawEnvelope};
 pub use exploration::{Exploration, ExplorationBudget, ExploreConfig, explore};

@@ -1,17 +1,17 @@
 //! Plays generated scenes on several workers until the budget is used or enough scenes fail.
 
+use crate::explore::choices::{Choice, Drawn};
 use crate::explore::coverage::Coverage;
-use crate::explore::draw::{SceneDraw, Stratum};
 use crate::explore::envelope::Envelope;
 use crate::explore::generator::Generator;
-use crate::explore::guidance::{Corpus, Feature, GuidanceTally, Parent, ROUND, RecordingLink, derive_scene};
+use crate::explore::guidance::{Corpus, Feature, GuidanceTally, ItemKind, ROUND, RecordingLink};
 use crate::explore::limits::ExploredLaw;
 use crate::explore::player::ExploreError;
 use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands, relation_demand};
-use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario};
+use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario, sequence_scenario};
 use crate::explore::scene::Scene;
-use crate::explore::sequence::{self, SequenceLimits};
+use crate::explore::sequence::SequenceLimits;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::workers::{Emit, run_workers};
 use platebench_engine::{SafeEnds, configure};
@@ -94,7 +94,7 @@ impl ExploreConfig {
     }
 
     pub fn sequence_scenario(&self, messages: &[ScenarioMessage], title: &str, prefix: &str) -> SceneScenario {
-        sequence::scenario(&self.envelope, self.law, messages, title, prefix, self.compares_commands())
+        sequence_scenario(&self.envelope, self.law, messages, title, prefix, self.compares_commands())
     }
 }
 
@@ -110,9 +110,10 @@ pub struct Regression {
 pub struct FailedScene {
     pub index: u64,
     pub scene: Scene,
+    pub choices: Vec<Choice>,
     pub failures: Vec<SceneFailure>,
-    /// Scenes that the same controller played before, oldest first.
-    pub history: Vec<Scene>,
+    /// Choices of the scenes that the same controller played before, oldest first.
+    pub history: Vec<Vec<Choice>>,
 }
 
 impl FailedScene {
@@ -125,6 +126,7 @@ impl FailedScene {
 pub struct FailedSequence {
     pub index: u64,
     pub messages: Vec<ScenarioMessage>,
+    pub choices: Vec<Choice>,
     pub properties: Vec<Property>,
     /// The difference or the violated rule, in words.
     pub text: String,
@@ -232,8 +234,8 @@ impl Exploration {
             self.sequences.failed += 1;
             let text = result.differences.first().unwrap_or(&failure.name).clone();
             let properties = violated(&result.failures);
-            let (index, messages) = (sequence.index, messages.clone());
-            self.failed_sequences.push(FailedSequence { index, messages, properties, text });
+            let (index, messages, choices) = (sequence.index, messages.clone(), sequence.choices.clone());
+            self.failed_sequences.push(FailedSequence { index, messages, choices, properties, text });
         }
         Ok(Some(features))
     }
@@ -335,22 +337,24 @@ pub fn explore_and_record<L: RecordingLink>(
         let outcome = run_workers(workers.iter_mut(), source, work, &mut |played: PlayedItem| {
             match played {
                 PlayedItem::Scene(played) => {
-                    let PlayedScene { index, scene, drawn, is_derived, mut result, history } = *played;
+                    let PlayedScene { index, drawn: Drawn { item: scene, choices }, is_derived, .. } = *played;
+                    let PlayedScene { mut result, history, .. } = *played;
                     exploration.guidance.derived_scenes += u64::from(is_derived);
                     exploration.add(&scene, index, &result, &config.envelope);
                     let features = std::mem::take(&mut result.features);
-                    if !drawn.0.is_endurance {
-                        round.insert(index * ITEMS, (features, Parent::Scene(Box::new(drawn))));
-                    }
+                    let parent = (!scene.is_rare()).then(|| choices.clone());
+                    round.insert(index * ITEMS, (features, ItemKind::Scene, parent));
                     if !result.failures.is_empty() {
-                        exploration.failed.push(FailedScene { index, scene, failures: result.failures, history });
+                        let failures = result.failures;
+                        exploration.failed.push(FailedScene { index, scene, choices, failures, history });
                     }
                 }
                 PlayedItem::Sequence(sequence) => {
                     if let Some(features) = exploration.add_sequence(&sequence, config.law)? {
                         let index = sequence.index;
                         let number = index / SEQUENCES_PER_SCENE * ITEMS + 1 + index % SEQUENCES_PER_SCENE;
-                        round.insert(number, (features, Parent::Sequence(sequence.scenario.messages)));
+                        let PlayedSequence { choices, may_be_parent, .. } = *sequence;
+                        round.insert(number, (features, ItemKind::Sequence, may_be_parent.then_some(choices)));
                     }
                 }
             }
@@ -432,6 +436,8 @@ struct PlayedSequence {
     index: u64,
     is_derived: bool,
     scenario: Scenario,
+    choices: Vec<Choice>,
+    may_be_parent: bool,
     messages: u64,
     /// `None` if the sequence is too long for the rig.
     result: Option<SceneResult>,
@@ -439,17 +445,16 @@ struct PlayedSequence {
 
 struct PlayedScene {
     index: u64,
-    scene: Scene,
-    drawn: (Stratum, SceneDraw),
+    drawn: Drawn<Scene>,
     is_derived: bool,
     result: SceneResult,
-    history: Vec<Scene>,
+    history: Vec<Vec<Choice>>,
 }
 
 struct SceneWorker<'a, L: RecordingLink> {
     config: &'a ExploreConfig,
     player: Player<'a, L>,
-    history: Vec<Scene>,
+    history: Vec<Vec<Choice>>,
 }
 
 impl<'a, L: RecordingLink> SceneWorker<'a, L> {
@@ -467,46 +472,43 @@ impl<'a, L: RecordingLink> SceneWorker<'a, L> {
     fn play_sequence(&mut self, index: u64, corpus: &Corpus) -> Result<Option<PlayedSequence>, ExploreError> {
         let Some(limits) = &self.config.sequences else { return Ok(None) };
         let drawn = limits.sequence(self.config.seed, index);
-        let parent = corpus.sequence_parent(self.config.seed, index).filter(|_| self.config.is_guided);
-        let is_derived = parent.is_some();
-        let sequence = match parent {
-            Some(parent) => limits.derive(self.config.seed, index, parent, &drawn),
-            None => drawn,
-        };
+        let derived = self.derive(ItemKind::Sequence, index, corpus, &drawn.choices);
+        let is_derived = derived.is_some();
+        let Drawn { item: sequence, choices } = derived.map_or(drawn, |choices| limits.replay(&choices));
         let messages = ScenarioMessage::count(&sequence);
+        let may_be_parent = limits.may_be_parent(&sequence);
         let title = format!("Sequence {index} of seed {}", self.config.seed);
         let scenario = self.config.sequence_scenario(&sequence, &title, "").check()?;
+        let played = PlayedSequence { index, is_derived, scenario, choices, may_be_parent, messages, result: None };
         if SequenceLimits::cost(&sequence) > limits.longest {
-            return Ok(Some(PlayedSequence { index, is_derived, scenario, messages, result: None }));
+            return Ok(Some(played));
         }
-        let result = self.player.play_and_record(&scenario, &corpus.missing)?;
-        Ok(result.map(|result| PlayedSequence { index, is_derived, scenario, messages, result: Some(result) }))
+        let result = self.player.play_and_record(&played.scenario, &corpus.missing)?;
+        Ok(result.map(|result| PlayedSequence { result: Some(result), ..played }))
     }
 
     /// `None` if the scene was cancelled.
     fn play(&mut self, index: u64, corpus: &Corpus) -> Result<Option<PlayedScene>, ExploreError> {
         let generator = self.config.generator();
-        let drawn = generator.draw(index).map_err(ExploreError::Strategy)?;
-        let may_derive = self.config.is_guided && drawn.0.scripts.is_none() && !drawn.0.is_endurance;
-        let parents = corpus.scene_parents(self.config.seed, index).filter(|_| may_derive);
-        let is_derived = parents.is_some();
-        let most_events = self.config.envelope.count.events[1] as usize;
-        let drawn = match parents {
-            Some((random, parents)) => derive_scene(random, parents, drawn, most_events),
-            None => drawn,
-        };
-        let scene = generator.build(&drawn.0, &drawn.1);
+        let drawn = generator.scene(index);
+        let derived = self.derive(ItemKind::Scene, index, corpus, &drawn.choices).filter(|_| !drawn.item.is_rare());
+        let is_derived = derived.is_some();
+        let drawn = derived.map_or(drawn, |choices| generator.replay(&choices));
         let title = format!("Scene {index} of seed {}", self.config.seed);
-        let scenario = self.config.scenario(&scene, &title).check()?;
+        let scenario = self.config.scenario(&drawn.item, &title).check()?;
         let Some(result) = self.player.play_and_record(&scenario, &corpus.missing)? else { return Ok(None) };
         if self.player.is_young() {
             self.history.clear();
         }
         let history = self.history.clone();
-        self.history.push(scene.clone());
+        self.history.push(drawn.choices.clone());
         if self.history.len() > MAX_HISTORY {
             self.history.remove(0);
         }
-        Ok(Some(PlayedScene { index, scene, drawn, is_derived, result, history }))
+        Ok(Some(PlayedScene { index, drawn, is_derived, result, history }))
+    }
+
+    fn derive(&self, kind: ItemKind, index: u64, corpus: &Corpus, drawn: &[Choice]) -> Option<Vec<Choice>> {
+        if self.config.is_guided { corpus.derive(kind, self.config.seed, index, drawn) } else { None }
     }
 }

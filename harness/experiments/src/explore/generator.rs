@@ -1,35 +1,121 @@
-//! Generates scene i from the envelope, the seed and i alone.
+//! Generates scene i from the envelope, the seed and i alone. The number of a scene determines its
+//! stratum, so that few scenes cover event kinds, periods, limits and histories.
 
-use crate::explore::draw;
-use crate::explore::draw::EventKind;
-use crate::explore::draw::{
-    ConfigurationDraw, DETUNING_STEP_HZ, DEVIATION_STEP_PERCENT, EventDraw, FORCE_STEP_N, Gap, LEVEL_STEP_UM,
-    LIMIT_STEP_VPP, NOISE_STEP_UM, PERIOD_STEP_MS, SceneDraw, TEMPERATURE_STEP_K, Target, TrialDraw, USUAL_LEVEL_UM,
-    USUAL_PERIOD_MS,
-};
-use crate::explore::draw::{SineOf, Stratum};
+use crate::explore::choices::{Choice, Choices, DrawLists, Drawn, Part, uniform, weighted};
 use crate::explore::envelope::Envelope;
 use crate::explore::limits::ExploredLaw;
-use crate::explore::scene::Tuning;
-use crate::explore::scene::{Course, PlateChoice, Relation, Scene, SceneTrial};
+use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, Tuning};
+use crate::explore::timeline::{ENDURANCE, ENDURANCE_REST_MS, EventKind, GapKind, Timeline};
 use platebench_wire::LawId;
-use proptest::strategy::{BoxedStrategy, Strategy, ValueTree};
-use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use sha2::{Digest, Sha256};
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 
+const PERIOD_STEP_US: i32 = 50;
+const LIMIT_STEP_VPP: i32 = 10;
+const NOISE_STEP_PM: i32 = 500;
+const DEVIATION_STEP_PERMILLE: i32 = 5;
+const DETUNING_STEP_HZ: f64 = 1.0;
+const SINE_STEP_TENTHS: u32 = 20;
 /// Largest share of the drive limit that a setpoint may need in steady state. The rest is a reserve
 /// for control.
 pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
 /// Like [`MAX_STEADY_DRIVE`], for overloaded trials. Their drive may stay at the limit.
 const MAX_OVERLOAD: f64 = 2.0;
-/// Steps of [`Target::Near`] for a setpoint (nm), a force (0.01 N) and a temperature (0.01 K).
-const NEAR_STEPS: [i32; 3] = [5, 2, 10];
-/// Times at which a time counter in a controller may overflow, µs.
-const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
-/// Shortest time between two steps of a staircase, in tenths of a control period.
-const STAIR_TENTHS: u32 = 7;
-const SINE_STEP_TENTHS: u32 = 20;
+/// Fewest control periods after the last event of a judged and of an earlier trial.
+const TAIL_PERIODS: [u32; 2] = [10, 1];
+/// Number of events of an earlier trial and of a long trial.
+const EARLIER_EVENTS: [u32; 2] = [1, 2];
+const ENDURANCE_EVENTS: [u32; 2] = [2, 3];
+
+/// Properties of a scene that its number determines. All other properties are drawn.
+#[derive(Debug, Clone, PartialEq, Default)]
+#[allow(clippy::struct_excessive_bools, reason = "independent choices")]
+pub(crate) struct Stratum {
+    /// Choice of the control period. 0: usual; 1: shortest; 2: longest; larger numbers: drawn.
+    period: u64,
+    /// Choice of the drive limit. 0: largest; 1: smallest; larger numbers: drawn.
+    limit: u64,
+    /// Kinds of the first events, and the time before each if it is not drawn.
+    pub(crate) kinds: Vec<EventKind>,
+    pub(crate) gaps: Vec<(GapKind, i32)>,
+    has_history: bool,
+    has_noise: bool,
+    /// True if the configuration has its own response time, gains, frequency range or slew limit.
+    is_tuned: bool,
+    has_fault: bool,
+    /// True if setpoints of the judged trial may exceed the reach of the drive limit.
+    is_overloaded: bool,
+    /// True if setpoints of the earlier trials may exceed the reach of the drive limit.
+    is_overloaded_before: bool,
+    pub(crate) is_long: bool,
+    /// 0: none; 1: sine of the force; 2: sine of the temperature.
+    sine: i32,
+    /// True if time stamps of later plays pass 2^16 ms, 2^31 µs and 2^32 µs (counter overflows).
+    shifts_time: bool,
+    /// 0: none; otherwise the number of the relation.
+    relation: i32,
+    /// 0: none; otherwise the number of the scripts of messages before the trial. They are rare, because
+    /// they take as long as a hundred scenes.
+    scripts: i32,
+}
+
+const PAIRS: u64 = (EventKind::ALL.len() * EventKind::ALL.len()) as u64;
+/// Has no common divisor with [`PAIRS`], so as many scenes contain all pairs of event kinds.
+const PAIR_STRIDE: u64 = 37;
+const LONG_EVERY: u64 = 41;
+const LONG_AT: u64 = 11;
+const SINE_EVERY: u64 = 17;
+const SCRIPTS_EVERY: u64 = 512;
+/// One scene in this many, in the first round at this place, takes more than a minute.
+const ENDURANCE_EVERY: u64 = 512;
+const ENDURANCE_AT: u64 = 59;
+/// Scenes with a history or other time stamps have other remainders.
+const RELATION_EVERY: u64 = 3;
+
+impl Stratum {
+    /// Without `has_endurance` no trial is long.
+    fn of(index: u64, has_endurance: bool) -> Self {
+        if has_endurance && index % ENDURANCE_EVERY == ENDURANCE_AT {
+            let kinds = vec![EventKind::Rest, EventKind::Step];
+            let gaps = vec![(GapKind::Long, ENDURANCE_REST_MS), (GapKind::Sample, ENDURANCE)];
+            return Self { kinds, gaps, ..Self::default() };
+        }
+        let pair = index.wrapping_mul(PAIR_STRIDE) % PAIRS;
+        let kinds = EventKind::ALL.len() as u64;
+        let kind = |number: u64| EventKind::ALL.get(number as usize).copied();
+        Self {
+            period: index % 5,
+            limit: index % 4,
+            kinds: [kind(pair / kinds), kind(pair % kinds)].into_iter().flatten().collect(),
+            gaps: Vec::new(),
+            has_history: index % 3 == 1,
+            has_noise: index % 7 == 5,
+            is_tuned: index % 5 == 3,
+            has_fault: index % 9 == 7,
+            is_overloaded: index % 13 == 6,
+            is_overloaded_before: index % 5 == 2,
+            is_long: index % LONG_EVERY == LONG_AT,
+            sine: match index % (2 * SINE_EVERY) {
+                4 => 1,
+                21 => 2,
+                _ => 0,
+            },
+            shifts_time: index % 6 == 2 && index % LONG_EVERY != LONG_AT,
+            relation: if index.is_multiple_of(RELATION_EVERY) { 1 + (index / RELATION_EVERY % 3) as i32 } else { 0 },
+            scripts: if index.is_multiple_of(SCRIPTS_EVERY) { 1 + (index / SCRIPTS_EVERY) as i32 } else { 0 },
+        }
+    }
+
+    /// The stratum of the trials before the judged one.
+    fn of_earlier_trials(&self) -> Self {
+        let Self { has_noise, is_overloaded_before, .. } = *self;
+        let is_overloaded = is_overloaded_before;
+        Self { period: u64::MAX, limit: u64::MAX, is_tuned: true, has_noise, is_overloaded, ..Self::default() }
+    }
+}
 
 #[derive(Debug, Clone)]
 pub struct Generator<'a> {
@@ -40,93 +126,68 @@ pub struct Generator<'a> {
     pub has_endurance: bool,
 }
 
-pub struct SceneTree<'a> {
-    generator: Generator<'a>,
-    stratum: Stratum,
-    tree: Box<dyn ValueTree<Value = SceneDraw>>,
-}
-
-impl SceneTree<'_> {
-    pub fn current(&self) -> Scene {
-        self.generator.build(&self.stratum, &self.tree.current())
-    }
-
-    /// Returns false if the scene cannot become simpler.
-    pub fn simplify(&mut self) -> bool {
-        self.tree.simplify()
-    }
-
-    /// Reverts a part of the last simplification. Returns false if that is not possible.
-    pub fn complicate(&mut self) -> bool {
-        self.tree.complicate()
-    }
-}
-
-impl<'a> Generator<'a> {
+impl Generator<'_> {
     /// The drawn scene of this number, before anything is derived.
-    pub(crate) fn draw(&self, index: u64) -> Result<(Stratum, SceneDraw), String> {
-        let SceneTree { stratum, tree, .. } = self.tree(index)?;
-        Ok((stratum, tree.current()))
-    }
-
-    pub fn tree(&self, index: u64) -> Result<SceneTree<'a>, String> {
+    pub fn scene(&self, index: u64) -> Drawn<Scene> {
         let mut hash = Sha256::new_with_prefix(self.envelope.digest);
         hash.update(self.seed.to_le_bytes());
         hash.update(index.to_le_bytes());
-        let random = TestRng::from_seed(RngAlgorithm::ChaCha, &hash.finalize());
-        let mut runner = TestRunner::new_with_rng(Config::default(), random);
-        let stratum = Stratum::of(index, self.has_endurance);
-        let strategy: BoxedStrategy<SceneDraw> = draw::scene(self.envelope, &stratum);
-        let tree = strategy.new_tree(&mut runner).map_err(|reason| reason.to_string())?;
-        Ok(SceneTree { generator: self.clone(), stratum, tree })
+        self.draw(Choices::new(ChaCha8Rng::from_seed(hash.finalize().into()), index))
     }
 
-    pub(crate) fn build(&self, stratum: &Stratum, draw: &SceneDraw) -> Scene {
-        let judged_configuration = self.configuration(&draw.configuration, self.law);
-        let mut judged = SceneTrial { law: self.law, ..self.trial(judged_configuration, &draw.judged, stratum, 10) };
-        let relation = stratum.relation.filter(|relation| self.can_relate(*relation, &judged, stratum));
+    /// The scene of recorded choices.
+    pub fn replay(&self, choices: &[Choice]) -> Drawn<Scene> {
+        self.draw(Choices::replay(choices))
+    }
+
+    fn draw(&self, mut choices: Choices) -> Drawn<Scene> {
+        let stratum = Stratum::of(choices.index(), self.has_endurance);
+        let scripts = choices.given(Some(stratum.scripts), 0..=i32::MAX);
+        let relation = choices.given(Some(stratum.relation), 0..=3);
+        let relation = (relation as usize).checked_sub(1).and_then(|number| Relation::ALL.get(number)).copied();
+        let shifts_time = choices.given(Some(stratum.shifts_time.into()), 0..=1) == 1;
+        choices.begin(Part::Trial);
+        let mut judged = self.trial(&mut choices, &stratum, None);
+        choices.end();
+        let mut earlier = Vec::new();
+        let before = stratum.of_earlier_trials();
+        choices.list(Part::Trial, counts(stratum.has_history, self.envelope.count.earlier_trials), |choices, _| {
+            earlier.push(self.trial(choices, &before, Some(&judged)));
+        });
+        choices.list(Part::Fault, counts(stratum.has_fault, [1, 2]), |choices, _| {
+            let fault = LineFault::draw(choices, judged.duration_us, judged.period_us);
+            let is_apart =
+                |fault: &LineFault| judged.faults.iter().all(|other| other.combines_with(fault, judged.period_us));
+            judged.faults.extend(fault.filter(is_apart));
+        });
+        let relation = relation.filter(|relation| self.can_relate(*relation, &judged));
         match relation {
             Some(Relation::Delayed) => self.simplify_for_delay(&mut judged),
             Some(Relation::Proportional) if self.law.is_own() => self.simplify_for_proportion(&mut judged),
             _ => {}
         }
-        for fault in draw.faults.iter().filter_map(|fault| fault.place(judged.duration_us, judged.period_us)) {
-            if judged.faults.iter().all(|other| other.combines_with(&fault, judged.period_us)) {
-                judged.faults.push(fault);
-            }
-        }
-        let earlier_stratum = Stratum { sine: None, is_overloaded: stratum.is_overloaded_before, ..stratum.clone() };
-        let law = |draw: &ConfigurationDraw| self.laws.get(draw.law % self.laws.len().max(1)).copied();
-        let earlier: Vec<_> = draw
-            .earlier
-            .iter()
-            .map(|(own, trial)| {
-                let law = own.as_ref().and_then(law).map_or(self.law, ExploredLaw::from);
-                let configuration = own.as_ref().map_or(judged_configuration, |own| self.configuration(own, law));
-                SceneTrial { law, ..self.trial(configuration, trial, &earlier_stratum, 1) }
-            })
-            .collect();
-        let shifts_time = stratum.shifts_time && !stratum.is_long && judged.plate.noise_pm == 0;
-        let count = match (earlier.is_empty() && relation.is_none(), shifts_time) {
+        let count = match (earlier.is_empty() && relation.is_none(), shifts_time && judged.plate.noise_pm == 0) {
             (false, _) => 2,
             (true, true) => 4,
             (true, false) => 1,
         };
         // A seed in a scenario file is less than 2^63.
-        let script_seed = stratum.scripts.map(|index| index.wrapping_add(self.seed) & (u64::MAX >> 1));
-        Scene { earlier, judged, count, script_seed, relation }
+        let seed = |number: u64| self.seed.wrapping_add((number - 1).wrapping_mul(SCRIPTS_EVERY)) & (u64::MAX >> 1);
+        let script_seed = (scripts > 0).then(|| seed(u64::from(scripts.unsigned_abs())));
+        choices.finish(Scene { earlier, judged, count, script_seed, relation })
     }
 
-    fn can_relate(&self, relation: Relation, trial: &SceneTrial, stratum: &Stratum) -> bool {
+    fn can_relate(&self, relation: Relation, trial: &SceneTrial) -> bool {
         let is_equal = trial.plate.noise_pm == 0 && trial.faults.is_empty();
         let has_delay = self.envelope.range.loop_delay_periods[1] > 0.0;
+        let reach = trial.largest_setpoint_nm(&self.envelope.plate, MAX_STEADY_DRIVE);
         // A law that steers chooses its phase by the measured W, not by the predicted one.
         let compensates =
             trial.law.properties().is_some_and(|properties| properties.compensates_delay && !properties.steers);
         is_equal
             && match relation {
                 // An own law may saturate in its own way.
-                Relation::Proportional => !(trial.law.is_own() && stratum.is_overloaded),
+                Relation::Proportional => !trial.law.is_own() || trial.setpoint.range()[1] <= reach.into(),
                 // These stay above the resonance, or step up at Wq = 0.
                 Relation::Mirrored => !matches!(trial.law.number(), Some(LawId::FrequencyOnly | LawId::BangBang)),
                 Relation::Delayed => has_delay && compensates,
@@ -138,345 +199,133 @@ impl<'a> Generator<'a> {
         let longest_us = f64::from(trial.period_us) * self.envelope.range.loop_delay_periods[1];
         trial.delay_us = if trial.delay_us == 0 { longest_us as u32 } else { trial.delay_us };
         trial.plate = trial.plate.design();
-        (trial.force, trial.temperature) = (CourseBuilder::new().finish(), CourseBuilder::new().finish());
+        (trial.force, trial.temperature) = (Course::zero(), Course::zero());
     }
 
     /// An own law may compare the amplitude or the phase with a fixed number, so the proportion holds
     /// at its resonance.
     fn simplify_for_proportion(&self, trial: &mut SceneTrial) {
-        trial.temperature = CourseBuilder::new().finish();
+        trial.temperature = Course::zero();
         trial.start_frequency_tenths = (trial.mode_at(&self.envelope.plate, 0).omega0 / TAU * 10.0).round() as u32;
     }
 
-    fn configuration(&self, draw: &ConfigurationDraw, law: ExploredLaw) -> Configuration {
+    /// Draws a configuration, as a trial without inputs. Only an earlier trial may have another law.
+    fn configuration(&self, choices: &mut Choices, stratum: &Stratum, is_judged: bool) -> SceneTrial {
         let range = &self.envelope.range;
-        let usual_us = (USUAL_PERIOD_MS.clamp(range.period_ms[0], range.period_ms[1]) * 1e3).round();
-        let period_us = usual_us as u32;
-        let period_us = period_us.saturating_add_signed(draw.period * (PERIOD_STEP_MS * 1e3) as i32);
+        let own = self.laws.iter().position(|law| Some(*law) == self.law.number()).unwrap_or(0) as u32;
+        let last_law = self.laws.len().saturating_sub(1) as u32;
+        let law = choices.given(is_judged.then_some(own.cast_signed()), 0..=last_law.cast_signed());
+        let law = self.laws.get(law as usize).filter(|_| !is_judged).map_or(self.law, |law| (*law).into());
+        let usual_us = (1e3_f64.min(range.period_ms[1] * 1e3).max(range.period_ms[0] * 1e3)).round();
+        let period_grid = grid(range.period_ms.map(|ms| ms * 1e3), usual_us, PERIOD_STEP_US.into());
+        let period = [0, *period_grid.start(), *period_grid.end()].get(stratum.period as usize).copied();
+        let period = choices.given(period, period_grid);
+        let period_us = (usual_us as u32).saturating_add_signed(period * PERIOD_STEP_US);
+        let [delay_low, delay_high] = range.loop_delay_periods.map(|periods| (periods * 20.0) as i32);
+        let delay = choices.mostly(delay_low, [6, 4], delay_low..=delay_high).unsigned_abs();
         let has_delay = law.properties().is_some_and(|properties| properties.compensates_delay);
-        let permille = (DEVIATION_STEP_PERCENT * 10.0) as i32;
-        Configuration {
+        let most_limit = ((range.drive_limit_vpp[1] - range.drive_limit_vpp[0]) / f64::from(LIMIT_STEP_VPP)) as i32;
+        let limit = choices.given([0, most_limit].get(stratum.limit as usize).copied(), 0..=most_limit);
+        let most_noise = (range.noise_um_rms[1] * 1e6 / f64::from(NOISE_STEP_PM) + ROUNDING) as i32;
+        let noise = choices.given((!stratum.has_noise).then_some(0), 0..=most_noise);
+        let mut deviation = |range: [f64; 2]| {
+            let grid = grid(range.map(|percent| percent * 10.0), 0.0, DEVIATION_STEP_PERMILLE.into());
+            choices.mostly(0, [6, 4], grid) * DEVIATION_STEP_PERMILLE
+        };
+        let plate = PlateChoice {
+            limit_vpp: range.drive_limit_vpp[1] as u32 - (limit * LIMIT_STEP_VPP).unsigned_abs(),
+            noise_pm: (noise * NOISE_STEP_PM).unsigned_abs(),
+            nominal_gain_permille: deviation(range.plate_gain_percent),
+            nominal_time_constant_permille: deviation(range.plate_time_constant_percent),
+            gain_permille: deviation(range.gain_deviation_percent),
+            time_constant_permille: deviation(range.time_constant_deviation_percent),
+        };
+        SceneTrial {
+            law,
+            plate,
             period_us,
-            delay_us: if has_delay { (period_us * draw.delay / 20).min(period_us) } else { 0 },
-            plate: PlateChoice {
-                limit_vpp: range.drive_limit_vpp[1] as u32 - draw.limit * LIMIT_STEP_VPP as u32,
-                noise_pm: draw.noise * (NOISE_STEP_UM * 1e6).round() as u32,
-                nominal_gain_permille: draw.nominal_gain * permille,
-                nominal_time_constant_permille: draw.nominal_time_constant * permille,
-                gain_permille: draw.gain * permille,
-                time_constant_permille: draw.time_constant * permille,
-            },
-            tuning: draw.tuning,
+            delay_us: if has_delay { (period_us * delay / 20).min(period_us) } else { 0 },
+            start_frequency_tenths: 0,
+            duration_us: 0,
+            setpoint: Course::zero(),
+            force: Course::zero(),
+            temperature: Course::zero(),
+            tuning: Tuning::draw(choices, range, stratum.is_tuned),
+            faults: Vec::new(),
         }
     }
 
-    /// `least_tail` is the smallest number of control periods after the last event.
-    fn trial(&self, configuration: Configuration, draw: &TrialDraw, stratum: &Stratum, least_tail: u32) -> SceneTrial {
-        let Configuration { period_us, delay_us, plate, tuning } = configuration;
-        let mut timeline = Timeline::new(self, configuration, draw);
-        for event in &draw.events {
-            timeline.add(event);
-        }
-        let tail_us = timeline.gap_us(draw.tail).max(least_tail * period_us);
-        let duration_us = timeline.now_us.max(1) + tail_us;
-        let Timeline { setpoint, force, temperature, .. } = timeline;
-        let mut trial = SceneTrial {
-            law: self.law,
-            plate,
-            period_us,
-            delay_us,
-            start_frequency_tenths: 0,
-            duration_us,
-            setpoint: Course::Hold(Vec::new()),
-            force: force.finish(),
-            temperature: temperature.finish(),
-            tuning,
-            faults: Vec::new(),
+    /// Draws the judged trial, or an earlier one, which has its own configuration or that of `judged`.
+    fn trial(&self, choices: &mut Choices, stratum: &Stratum, judged: Option<&SceneTrial>) -> SceneTrial {
+        let has_own = choices.given(judged.is_none().then_some(1), 0..=1) == 1;
+        let mut trial = match judged.filter(|_| !has_own) {
+            Some(judged) => SceneTrial { faults: Vec::new(), ..judged.clone() },
+            None => {
+                choices.begin(Part::Configuration);
+                let configuration = self.configuration(choices, stratum, judged.is_none());
+                choices.end();
+                configuration
+            }
         };
-        self.add_sine(&mut trial, draw, stratum.sine);
-        let share = if stratum.is_overloaded { MAX_OVERLOAD } else { MAX_STEADY_DRIVE };
-        let highest = trial.largest_setpoint_nm(&self.envelope.plate, share);
-        trial.setpoint = setpoint.limited(highest).finish();
+        let is_overloaded = choices.given(Some(stratum.is_overloaded.into()), 0..=1) == 1;
+        let sine = choices.given(Some(stratum.sine), 0..=2);
+        let sine_tenths = 10 + choices.integer(0..=40).unsigned_abs() * SINE_STEP_TENTHS;
+        let detunings = grid(self.envelope.range.start_frequency_offset_hz, 0.0, DETUNING_STEP_HZ);
+        let ends = [*detunings.start(), *detunings.end()];
+        let detuning = choices.number(detunings.clone(), |random| match weighted(random, &[4, 6, 1, 1]) {
+            0 => 0,
+            1 => uniform(random, &detunings),
+            end => ends[usize::from(end == 3)],
+        });
+        let least_tail = TAIL_PERIODS[usize::from(judged.is_some())];
+        let events = match judged {
+            Some(_) => EARLIER_EVENTS,
+            None if stratum.gaps.is_empty() => self.envelope.count.events,
+            None => ENDURANCE_EVENTS,
+        };
+        let mut timeline = Timeline::draw(self.envelope, choices, &trial, stratum, events);
+        trial.duration_us = timeline.now_us.max(1) + timeline.tail_us().max(least_tail * trial.period_us);
+        [trial.force, trial.temperature] = timeline.force_and_temperature();
+        let range = &self.envelope.range;
+        match sine {
+            1 => add_sine(&mut trial.force, range.force_rate_n_per_s[1], sine_tenths),
+            2 => add_sine(&mut trial.temperature, range.temperature_rate_k_per_s[1], sine_tenths),
+            _ => {}
+        }
+        let share = if is_overloaded { MAX_OVERLOAD } else { MAX_STEADY_DRIVE };
+        trial.setpoint = timeline.setpoint(trial.largest_setpoint_nm(&self.envelope.plate, share));
         let resonance_hz = trial.mode_at(&self.envelope.plate, 0).omega0 / TAU;
-        let start_hz = resonance_hz + f64::from(draw.detuning) * DETUNING_STEP_HZ;
+        let start_hz = resonance_hz + f64::from(detuning) * DETUNING_STEP_HZ;
         trial.start_frequency_tenths = (start_hz * 10.0).round() as u32;
         trial
     }
-
-    /// Replaces a course by a sine in its range; with the amplitude 0.25 if it is constant.
-    fn add_sine(&self, trial: &mut SceneTrial, draw: &TrialDraw, sine: Option<SineOf>) {
-        let range = &self.envelope.range;
-        let (course, full_rate) = match sine {
-            Some(SineOf::Force) => (&mut trial.force, range.force_rate_n_per_s[1]),
-            Some(SineOf::Temperature) => (&mut trial.temperature, range.temperature_rate_k_per_s[1]),
-            None => return,
-        };
-        let [low, high] = course.range().map(|value| value / 100.0);
-        let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
-        let mean = f64::midpoint(low, high).max(amplitude);
-        // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the
-        // course stays without a sine.
-        let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
-        if highest_tenths == 0 {
-            return;
-        }
-        let frequency_tenths = (10 + draw.sine * SINE_STEP_TENTHS).min(highest_tenths);
-        let [mean, amplitude] = [mean, amplitude].map(|value| (value * 100.0).round() as i32);
-        *course = Course::Sine { mean, amplitude, frequency_tenths };
-    }
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Configuration {
-    period_us: u32,
-    delay_us: u32,
-    plate: PlateChoice,
-    tuning: Tuning,
+fn counts(has_parts: bool, [fewest, most]: [u32; 2]) -> RangeInclusive<u32> {
+    if has_parts { fewest..=most } else { 0..=0 }
 }
 
-struct Timeline<'a> {
-    envelope: &'a Envelope,
-    period_us: u32,
-    /// Factor of quiet times. It is larger for long periods and for slow laws.
-    stretch: f64,
-    now_us: u32,
-    setpoint: CourseBuilder,
-    force: CourseBuilder,
-    temperature: CourseBuilder,
-    /// Earlier setpoints, forces and temperatures.
-    values: [Vec<i32>; 3],
+/// Keeps the end of a range if rounding lowers a quotient.
+const ROUNDING: f64 = 1e-9;
+
+/// Offsets, in grid steps, from `usual` that stay in the range. `usual` is limited to the range.
+fn grid([low, high]: [f64; 2], usual: f64, step: f64) -> RangeInclusive<i32> {
+    let usual = usual.clamp(low, high);
+    let steps = |distance: f64| (distance / step + ROUNDING).floor() as i32;
+    -steps(usual - low)..=steps(high - usual)
 }
 
-impl<'a> Timeline<'a> {
-    fn new(generator: &Generator<'a>, configuration: Configuration, draw: &TrialDraw) -> Self {
-        let period_ms = f64::from(configuration.period_us) / 1e3;
-        let mut timeline = Self {
-            envelope: generator.envelope,
-            period_us: configuration.period_us,
-            stretch: period_ms.max(1.0) * generator.law.stretch(),
-            now_us: 0,
-            setpoint: CourseBuilder::new(),
-            force: CourseBuilder::new(),
-            temperature: CourseBuilder::new(),
-            values: [Vec::new(), Vec::new(), Vec::new()],
-        };
-        let level = timeline.level(draw.level);
-        timeline.setpoint.step(0, level);
-        let [force, temperature] = [timeline.force(draw.force), timeline.temperature(draw.temperature)];
-        timeline.force.step(0, force);
-        timeline.temperature.step(0, temperature);
-        timeline
+/// Replaces a course by a sine in its range; with the amplitude 0.25 if it is constant.
+fn add_sine(course: &mut Course, full_rate: f64, frequency_tenths: u32) {
+    let [low, high] = course.range().map(|value| value / 100.0);
+    let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
+    let mean = f64::midpoint(low, high).max(amplitude);
+    // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the course
+    // stays without a sine.
+    let highest_tenths = (full_rate / (TAU * amplitude) * 10.0) as u32;
+    if highest_tenths == 0 {
+        return;
     }
-
-    fn resolve(&mut self, kind: usize, target: Target, range: [f64; 2], usual: f64, step: f64, scale: f64) -> i32 {
-        let [low, high] = range.map(|value| (value * scale).round() as i32);
-        let usual = (usual * scale).round() as i32;
-        let usual = usual.clamp(low, high);
-        let step = (step * scale).round() as i32;
-        let Some((values, near)) = self.values.get_mut(kind).zip(NEAR_STEPS.get(kind)) else { return usual };
-        let last = values.last().copied().unwrap_or(usual);
-        let value = match target {
-            Target::At(offset) => usual + offset * step,
-            Target::Near(0) => last,
-            Target::Near(offset) => last + offset * near,
-            Target::Earlier(count) => {
-                values.len().checked_sub(count + 1).and_then(|at| values.get(at)).copied().unwrap_or(last)
-            }
-            Target::Least => low,
-            Target::Most => high,
-        };
-        let value = value.clamp(low, high);
-        values.push(value);
-        value
-    }
-
-    fn level(&mut self, target: Target) -> i32 {
-        self.resolve(0, target, self.envelope.range.setpoint_um, USUAL_LEVEL_UM, LEVEL_STEP_UM, 1e3)
-    }
-
-    fn force(&mut self, target: Target) -> i32 {
-        self.resolve(1, target, self.envelope.range.finger_force_n, 0.0, FORCE_STEP_N, 100.0)
-    }
-
-    fn temperature(&mut self, target: Target) -> i32 {
-        self.resolve(2, target, self.envelope.range.temperature_offset_k, 0.0, TEMPERATURE_STEP_K, 100.0)
-    }
-
-    fn gap_us(&self, gap: Gap) -> u32 {
-        let range = &self.envelope.range;
-        match gap {
-            Gap::Quiet(tenths) => ((range.quiet_ms[0] * 1e3 + f64::from(tenths) * 100.0) * self.stretch) as u32,
-            Gap::Short(tenths) => tenths * 100,
-            Gap::Long(ms) => ((range.long_quiet_ms[0] + f64::from(ms)) * 1e3) as u32,
-            Gap::AtCounterEnd(periods) => {
-                let next = COUNTERS_US.iter().find(|counter| **counter > self.now_us + 3 * self.period_us);
-                let until = next.copied().unwrap_or(self.now_us + 10 * self.period_us);
-                until.saturating_add_signed(periods * self.period_us.cast_signed()) - self.now_us
-            }
-            Gap::UntilSample(sample) => (sample * self.period_us).saturating_sub(self.now_us),
-        }
-    }
-
-    fn add(&mut self, event: &EventDraw) {
-        let mut at = self.now_us + self.gap_us(event.gap).max(100);
-        if event.is_aligned || matches!(event.gap, Gap::AtCounterEnd(_)) {
-            at = at.div_ceil(self.period_us) * self.period_us;
-        } else if at.is_multiple_of(self.period_us) {
-            at += self.period_us / 3;
-        }
-        self.now_us = match event.kind {
-            EventKind::Step => {
-                let level = self.level(event.level);
-                self.setpoint.step(at, level);
-                at
-            }
-            EventKind::Staircase => self.add_staircase(event, at),
-            EventKind::Rest => {
-                let end = at + self.gap_us(event.gap).max(2 * self.period_us);
-                let level = self.level(event.level);
-                self.setpoint.step(at, 0);
-                self.setpoint.step(end, level);
-                end
-            }
-            EventKind::Ramp => self.ramp_setpoint(event, at),
-            EventKind::Touch => {
-                let force = self.force(event.force);
-                self.force.step(at, force);
-                at
-            }
-            EventKind::Shock => {
-                let temperature = self.temperature(event.temperature);
-                self.temperature.step(at, temperature);
-                at
-            }
-            EventKind::Press => self.press(event, at),
-            EventKind::Heat => self.heat(event, at),
-            EventKind::Both => self.press(event, at).max(self.heat(event, at)),
-        };
-    }
-
-    fn add_staircase(&mut self, event: &EventDraw, at: u32) -> u32 {
-        let from = self.values.first().and_then(|levels| levels.last()).copied().unwrap_or(0);
-        let to = self.level(event.level);
-        let step_us = self.period_us * (STAIR_TENTHS + event.slowness / 4) / 10;
-        let count = event.steps.cast_signed();
-        let mut end = at;
-        for step in 1..=count {
-            end = at + step_us * (step - 1) as u32;
-            self.setpoint.step(end, from + (to - from) * step / count);
-        }
-        end
-    }
-
-    /// A slow ramp ends before its level is reached.
-    fn ramp_setpoint(&mut self, event: &EventDraw, at: u32) -> u32 {
-        let from = self.setpoint.last();
-        let rate = rate(self.envelope.range.setpoint_rate_um_per_s, event.slowness) * 1e3;
-        let reach = (rate * MAX_SETPOINT_RAMP_S) as i32;
-        let to = self.level(event.level).clamp(from - reach, from + reach);
-        if let Some(last) = self.values[0].last_mut() {
-            *last = to;
-        }
-        let duration = ramp_us(f64::from((to - from).abs()) / rate);
-        self.setpoint.ramp(at, duration, to)
-    }
-
-    fn press(&mut self, event: &EventDraw, at: u32) -> u32 {
-        let to = self.force(event.force);
-        let rates = self.envelope.range.force_rate_n_per_s;
-        let duration = disturbance_us(to - self.force.last(), rates, event.slowness);
-        self.force.ramp(at, duration, to)
-    }
-
-    fn heat(&mut self, event: &EventDraw, at: u32) -> u32 {
-        let to = self.temperature(event.temperature);
-        let rates = self.envelope.range.temperature_rate_k_per_s;
-        let duration = disturbance_us(to - self.temperature.last(), rates, event.slowness);
-        self.temperature.ramp(at, duration, to)
-    }
-}
-
-/// Longest duration of a ramp of force or temperature. A ramp that would take longer gets a higher
-/// rate.
-const MAX_RAMP_S: f64 = 0.1;
-const MAX_SETPOINT_RAMP_S: f64 = 0.3;
-
-/// [`EventDraw`] defines `slowness`.
-fn rate([slowest, fastest]: [f64; 2], slowness: u32) -> f64 {
-    fastest * (slowest / fastest).powf(f64::from(slowness) / 100.0)
-}
-
-/// Duration of a ramp of force or temperature by `change` hundredths, µs.
-fn disturbance_us(change: i32, rates: [f64; 2], slowness: u32) -> u32 {
-    let rate = rate(rates, slowness) * 100.0;
-    ramp_us((f64::from(change.abs()) / rate).min(MAX_RAMP_S))
-}
-
-/// Duration of a ramp, µs, a multiple of 0.1 ms.
-fn ramp_us(seconds: f64) -> u32 {
-    ((seconds * 1e4).ceil() as u32).max(1) * 100
-}
-
-/// If a course has ramps, it is linear between its points. A step in it then becomes a ramp of this
-/// duration, µs.
-pub(crate) const EDGE_US: u32 = 10;
-
-pub(crate) struct CourseBuilder {
-    start: i32,
-    /// Start µs, end µs and final value of each move, in order of time.
-    moves: Vec<(u32, u32, i32)>,
-}
-
-impl CourseBuilder {
-    pub(crate) const fn new() -> Self {
-        Self { start: 0, moves: Vec::new() }
-    }
-
-    pub(crate) fn last(&self) -> i32 {
-        self.moves.last().map_or(self.start, |(_, _, value)| *value)
-    }
-
-    /// A step at 0 µs sets the start value.
-    pub(crate) fn step(&mut self, at_us: u32, value: i32) {
-        if at_us == 0 {
-            self.start = value;
-        } else if value != self.last() {
-            self.moves.push((at_us, at_us, value));
-        }
-    }
-
-    /// Returns the end of the ramp, µs.
-    pub(crate) fn ramp(&mut self, at_us: u32, duration_us: u32, value: i32) -> u32 {
-        if value == self.last() {
-            return at_us;
-        }
-        self.moves.push((at_us, at_us + duration_us, value));
-        at_us + duration_us
-    }
-
-    /// The course with no value above `highest`.
-    fn limited(mut self, highest: i32) -> Self {
-        self.start = self.start.min(highest);
-        let mut last = self.start;
-        self.moves.retain_mut(|(_, _, value)| {
-            *value = (*value).min(highest);
-            std::mem::replace(&mut last, *value) != *value
-        });
-        self
-    }
-
-    pub(crate) fn finish(self) -> Course {
-        let has_ramps = self.moves.iter().any(|(from, to, _)| from < to);
-        let mut points = vec![(0, self.start)];
-        let mut last = self.start;
-        for (from, to, value) in self.moves {
-            if has_ramps {
-                points.extend([(from, last), (to.max(from + EDGE_US), value)]);
-            } else {
-                points.push((from, value));
-            }
-            last = value;
-        }
-        if has_ramps { Course::Linear(points) } else { Course::Hold(points) }
-    }
+    let [mean, amplitude] = [mean, amplitude].map(|value| (value * 100.0).round() as i32);
+    *course = Course::Sine { mean, amplitude, frequency_tenths: frequency_tenths.min(highest_tenths) };
 }

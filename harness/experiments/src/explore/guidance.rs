@@ -3,10 +3,9 @@
 //! Scenes are played in rounds. What a round reached is added at its end, in the order of the
 //! numbers, so that it does not depend on the number of workers.
 
-use crate::explore::draw::{SceneDraw, Stratum};
+use crate::explore::choices::{Choice, below, exchange};
 use crate::explore::player::SceneResult;
 use crate::explore::properties::Property;
-use platebench_model::scenario::ScenarioMessage;
 use platebench_model::trace::Flags;
 #[cfg(feature = "firmware-analysis")]
 use platebench_rig::EmulatedLink;
@@ -22,6 +21,8 @@ use std::collections::{BTreeMap, BTreeSet};
 pub(crate) const ROUND: u64 = 64;
 /// One scene or sequence in this many is derived, if there is something to derive it from.
 const DERIVED_EVERY: u64 = 2;
+/// Largest number of parts that a derived item takes from others.
+const MAX_EXCHANGES: usize = 4;
 /// Halvings of a margin that count as something new each.
 const MAX_HALVINGS: f64 = 8.0;
 
@@ -80,11 +81,11 @@ impl RecordingLink for EmulatedLink {
     }
 }
 
-/// Something that later items are derived from.
-#[derive(Debug, Clone)]
-pub(crate) enum Parent {
-    Scene(Box<(Stratum, SceneDraw)>),
-    Sequence(Vec<ScenarioMessage>),
+/// A kind of item, in the order of play.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum ItemKind {
+    Scene,
+    Sequence,
 }
 
 /// Number of branch outcomes, and of items that were derived from others.
@@ -105,8 +106,8 @@ pub struct GuidanceTally {
 #[derive(Debug, Default)]
 pub(crate) struct Corpus {
     reached: BTreeSet<Feature>,
-    scenes: Vec<(Stratum, SceneDraw)>,
-    sequences: Vec<Vec<ScenarioMessage>>,
+    /// Choices of scenes, and of sequences.
+    parents: [Vec<Vec<Choice>>; 2],
     /// Branch outcomes that were not reached yet.
     pub(crate) missing: BTreeSet<u32>,
 }
@@ -116,34 +117,29 @@ impl Corpus {
         Self { missing: branch_outcomes.clone(), ..Self::default() }
     }
 
-    /// Adds what the items of a round reached, by their number in the exploration.
-    pub(crate) fn add_round(&mut self, items: BTreeMap<u64, (BTreeSet<Feature>, Parent)>) {
-        for (features, parent) in items.into_values() {
+    /// Adds what the items of a round reached, by their number in the exploration. Items without choices
+    /// are no parents.
+    pub(crate) fn add_round(&mut self, items: BTreeMap<u64, (BTreeSet<Feature>, ItemKind, Option<Vec<Choice>>)>) {
+        for (features, kind, choices) in items.into_values() {
             let count = self.reached.len();
             self.reached.extend(features);
-            if self.reached.len() == count {
-                continue;
-            }
-            match parent {
-                Parent::Scene(scene) => self.scenes.push(*scene),
-                Parent::Sequence(messages) => self.sequences.push(messages),
+            if self.reached.len() > count {
+                self.parents[kind as usize].extend(choices);
             }
         }
         self.missing.retain(|address| !self.reached.contains(&Feature::Branch(*address)));
     }
 
-    /// Random numbers and two parents of scene `index`. `None` if it is not derived.
-    pub(crate) fn scene_parents(&self, seed: u64, index: u64) -> Option<(ChaCha8Rng, [&(Stratum, SceneDraw); 2])> {
-        let mut random = derivation("derived scene", seed, index)?;
-        let parents = [(); 2].map(|()| pick(&mut random, &self.scenes));
-        let [Some(one), Some(other)] = parents else { return None };
-        Some((random, [one, other]))
-    }
-
-    /// `None` if sequence `index` is not derived.
-    pub(crate) fn sequence_parent(&self, seed: u64, index: u64) -> Option<&[ScenarioMessage]> {
-        let mut random = derivation("derived sequence", seed, index)?;
-        pick(&mut random, &self.sequences).map(Vec::as_slice)
+    /// The choices of a parent, with parts of another one or of the drawn item. `None` if the item with
+    /// this number is not derived.
+    pub(crate) fn derive(&self, kind: ItemKind, seed: u64, index: u64, drawn: &[Choice]) -> Option<Vec<Choice>> {
+        let mut random = random_numbers(["derived scene", "derived sequence"][kind as usize], seed, index);
+        let parents = &self.parents[kind as usize];
+        if parents.is_empty() || !random.next_u64().is_multiple_of(DERIVED_EVERY) {
+            return None;
+        }
+        let [parent, other] = [(); 2].map(|()| parents.get(below(&mut random, parents.len())));
+        Some(derive(parent?, [other?, drawn], &mut random))
     }
 
     pub(crate) fn tally(&self, branch_outcomes: usize) -> GuidanceTally {
@@ -152,36 +148,20 @@ impl Corpus {
             branch_outcomes,
             reached_branch_outcomes,
             other_features: self.reached.len() - reached_branch_outcomes,
-            parents: self.scenes.len() + self.sequences.len(),
+            parents: self.parents.iter().map(Vec::len).sum(),
             ..GuidanceTally::default()
         }
     }
 }
 
-/// Combines two parents and a drawn scene. `most_events` limits the events of the judged trial.
-pub(crate) fn derive_scene(
-    mut random: ChaCha8Rng,
-    [one, other]: [&(Stratum, SceneDraw); 2],
-    drawn: (Stratum, SceneDraw),
-    most_events: usize,
-) -> (Stratum, SceneDraw) {
-    let (stratum, mut scene) = one.clone();
-    let events = &mut scene.judged.events;
-    let place = below(&mut random, events.len().max(1));
-    match below(&mut random, 5) {
-        0 => return (drawn.0, SceneDraw { configuration: one.1.configuration.clone(), ..drawn.1 }),
-        1 => scene.configuration = drawn.1.configuration,
-        2 => {
-            events.splice(place.min(events.len())..(place + 1).min(events.len()), drawn.1.judged.events).for_each(drop);
-        }
-        3 => events.splice(place.min(events.len()).., other.1.judged.events.iter().cloned()).for_each(drop),
-        _ => {
-            let rest = events.split_off(place.min(events.len()));
-            events.extend(drawn.1.judged.events.into_iter().take(1).chain(rest));
-        }
+/// `parent` with some parts of the donors.
+pub fn derive(parent: &[Choice], donors: [&[Choice]; 2], random: &mut ChaCha8Rng) -> Vec<Choice> {
+    let mut choices = parent.to_vec();
+    for _ in 0..=below(random, MAX_EXCHANGES) {
+        let donor = donors[below(random, 2)];
+        exchange(&mut choices, donor, random);
     }
-    scene.judged.events.truncate(most_events);
-    (Stratum { scripts: None, ..stratum }, scene)
+    choices
 }
 
 pub(crate) fn random_numbers(kind: &str, seed: u64, index: u64) -> ChaCha8Rng {
@@ -189,19 +169,4 @@ pub(crate) fn random_numbers(kind: &str, seed: u64, index: u64) -> ChaCha8Rng {
     hash.update(seed.to_le_bytes());
     hash.update(index.to_le_bytes());
     ChaCha8Rng::from_seed(hash.finalize().into())
-}
-
-/// `None` if the item with this number is not derived.
-fn derivation(kind: &str, seed: u64, index: u64) -> Option<ChaCha8Rng> {
-    let mut random = random_numbers(kind, seed, index);
-    random.next_u64().is_multiple_of(DERIVED_EVERY).then_some(random)
-}
-
-pub(crate) fn below(random: &mut ChaCha8Rng, count: usize) -> usize {
-    ((u64::from(random.next_u32()) * count as u64) >> 32) as usize
-}
-
-fn pick<'a, T>(random: &mut ChaCha8Rng, all: &'a [T]) -> Option<&'a T> {
-    let index = below(random, all.len());
-    all.get(index)
 }

@@ -165,6 +165,14 @@ impl<'a> Limits<'a> {
         heaviest / (self.design.gain * (1.0 - kept))
     }
 
+    /// Change of the frequency, Hz, in a period in which the phase is wrong by `angle`, rad. The loop
+    /// has the pole p, so its proportional gain is σ (1 − p)/(1 − e^(−σT)).
+    pub(crate) fn frequency_of_phase(&self, time_us: u32, angle: f64) -> f64 {
+        let sigma = self.mode(time_us).sigma;
+        let designed = 1.0 - (-3.0 * self.period_s / REQUIRED_S).exp();
+        angle * sigma * designed / (1.0 - (-sigma * self.period_s).exp()) / TAU
+    }
+
     /// Relative error of the damping that the law assumes at the start of the trial.
     pub(crate) fn initial_mismatch(&self) -> f64 {
         let plate = self.trial.plate;

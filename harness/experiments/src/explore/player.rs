@@ -200,8 +200,6 @@ pub enum ExploreError {
     LawNotAnnounced { law: String, options: String },
     #[error("internal error: the bench generated an invalid scenario ({0}); report this message and the seed")]
     Generated(Box<Diagnostic>),
-    #[error("internal error: the bench generated no scene ({0}); report this message and the seed")]
-    Strategy(String),
     #[error(transparent)]
     File(#[from] FileError),
     #[error("the exploration was cancelled")]

@@ -1,14 +1,14 @@
 //! Turns the windows of a trial into expectations, the properties that every scene must have.
 
-use crate::explore::generator::{EDGE_US, MAX_STEADY_DRIVE};
+use crate::explore::generator::MAX_STEADY_DRIVE;
 use crate::explore::limits::{BAND, Knowledge, Limits};
 use crate::explore::scene::Tuning;
 use crate::explore::scene::{Course, Relation, Scene, SceneTrial};
+use crate::explore::timeline::EDGE_US;
 use platebench_model::scenario::Metric;
 use platebench_plate::Plate;
 use schemars::JsonSchema;
 use serde::Serialize;
-use std::f64::consts::TAU;
 
 #[derive(
     Debug,
@@ -384,18 +384,19 @@ impl WindowJudge<'_> {
     /// During a ramp the amplitude lags behind the setpoint by rate · lag.
     fn add_tracking(&self, demands: &mut Vec<Demand>) {
         let Change { from_us, to_us, .. } = self.window.change;
+        let judged_us = if self.was_steady { from_us } else { from_us + self.steady_us() };
         let points = self.trial.setpoint.points().array_windows();
         let parts = points.filter(|[(start, _), _]| (from_us..to_us).contains(start));
         let rate = |[(start, low), (end, high)]: &[(u32, i32); 2]| f64::from(high - low).abs() / f64::from(end - start);
         let fastest = parts.clone().map(rate).fold(0.0, f64::max) * 1e3;
         let lowest = parts.flatten().map(|(_, level)| f64::from(*level) * 1e-3).fold(f64::INFINITY, f64::min);
-        if !self.was_steady || lowest == 0.0 {
+        if judged_us + STEADY_PERIODS * self.trial.period_us > to_us || lowest == 0.0 {
             return;
         }
         let lag = DEVIATION_FACTOR * fastest * self.limits.lag(to_us) / lowest * 100.0;
         let steady = DEVIATION_PERCENT + STATIC_OF_MISMATCH * self.mismatch * 100.0 + self.own_percent(lowest);
         let at_most = lag + steady + self.noise_percent(lowest);
-        demands.push(self.demand(Property::Tracking, from_us, to_us, at_most));
+        demands.push(self.demand(Property::Tracking, judged_us, to_us, at_most));
     }
 
     fn add_disturbance(&self, demands: &mut Vec<Demand>, level: f64) {
@@ -430,9 +431,8 @@ impl WindowJudge<'_> {
         let noise = self.noise_percent(level);
         let mismatch = self.mismatch * self.limits.tracking_remainder(from_us - change.to_us) * 100.0;
         let moved_hz = self.moved_hz * self.limits.tracking_remainder(until_us - change.to_us);
-        // tan φ = Δω/σ: an error of the phase looks like a detuning, the larger the more the finger
-        // damps.
-        let noise_hz = noise / 100.0 * self.limits.mode(change.to_us).sigma / TAU;
+        // tan φ = Δω/σ: an error of the phase looks like a detuning.
+        let noise_hz = self.limits.frequency_of_phase(change.to_us, noise / 100.0);
         let own_percent = self.own_percent(level);
         let own_hz = if self.is_own() { FREQUENCY_ERROR_HZ } else { 0.0 };
         let pairs = [

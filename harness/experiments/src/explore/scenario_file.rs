@@ -1,13 +1,16 @@
-//! Builds the scenario of a scene with its plates, checks it, and writes it as files.
+//! Builds the scenario of a scene with its plates, or of a sequence of messages, checks it, and writes
+//! it as files.
 
+use crate::explore::envelope::Envelope;
+use crate::explore::limits::ExploredLaw;
 use crate::explore::player::ExploreError;
-use crate::explore::properties::{Demand, Property};
+use crate::explore::properties::{Demand, Property, REFERENCE_DIFFERENCE_PERCENT};
 use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, rounded};
 use platebench_model::scenario::load::check_raw;
 use platebench_model::scenario::raw::{
     RawBetween, RawController, RawExpectation, RawOtherTrials, RawProfiles, RawScenario, RawTrials,
 };
-use platebench_model::scenario::{Metric, Scenario};
+use platebench_model::scenario::{Metric, Scenario, ScenarioMessage};
 use platebench_model::trace::{AtPath, FileError, OutputFolder};
 use platebench_plate::{
     Plate, RawDrive, RawFinger, RawMode, RawPlate, RawProfile, RawSensor, RawShape, RawSine, Uncertainty,
@@ -212,7 +215,7 @@ impl Resonance {
     }
 }
 
-pub(crate) fn raw_plate(plate: &Plate) -> RawPlate {
+fn raw_plate(plate: &Plate) -> RawPlate {
     // Removes the rounding errors of products.
     let rounded = |value| rounded(value, 9);
     RawPlate {
@@ -318,4 +321,54 @@ fn expectation(demand: &Demand, number: u32) -> Option<RawExpectation> {
         at_most: Some(rounded(demand.at_most, 4)),
         ..RawExpectation::default()
     })
+}
+
+/// Builds the scenario of a sequence. Its trial is as short as possible.
+pub(crate) fn sequence_scenario(
+    envelope: &Envelope,
+    law: ExploredLaw,
+    messages: &[ScenarioMessage],
+    title: &str,
+    plate_prefix: &str,
+    compares_reference: bool,
+) -> SceneScenario {
+    let expect = |property: Property, metric: Metric, at_most| RawExpectation {
+        name: Some(property.name().to_owned()),
+        metric: metric.name().to_owned(),
+        at_most: Some(at_most),
+        ..RawExpectation::default()
+    };
+    let mut expectations = vec![expect(Property::Answers, Metric::ProtocolDifferences, 0.0)];
+    if compares_reference {
+        let metric = Metric::ReferenceDifference;
+        expectations.push(expect(Property::Reference, metric, REFERENCE_DIFFERENCE_PERCENT));
+    }
+    let plate = PathBuf::from(format!("plates/{plate_prefix}messages.toml"));
+    let raw_plate = raw_plate(&envelope.plate);
+    let scenario = RawScenario {
+        title: title.to_owned(),
+        source: Some("platebench suite explore; the rules: docs/wire-protocol.md".to_owned()),
+        plate: plate.clone(),
+        duration_ms: 1.0,
+        tags: vec!["explored".to_owned()],
+        trace_step_ms: None,
+        model: None,
+        only_if_named: None,
+        expected_exit: None,
+        timeout_s: None,
+        controller: RawController { law: Some(law.name().to_owned()), ..RawController::default() },
+        profile: RawProfiles {
+            setpoint_um: RawProfile::Number(2.0),
+            temperature_offset_k: RawProfile::Number(0.0),
+            finger_force_n: RawProfile::Number(0.0),
+        },
+        trials: RawTrials::default(),
+        fault: Vec::new(),
+        between: Vec::new(),
+        other_trials: None,
+        message: messages.to_vec(),
+        expect: expectations,
+        matrix: None,
+    };
+    SceneScenario { scenario, plates: BTreeMap::from([(plate, raw_plate)]) }
 }

@@ -3,6 +3,7 @@
 //!
 //! Times and values are multiples of a small unit, so scenario files contain short numbers.
 
+use crate::explore::choices::{Choices, uniform, weighted};
 use crate::explore::envelope::Ranges;
 use crate::explore::limits::ExploredLaw;
 use crate::explore::properties::Property;
@@ -11,9 +12,8 @@ use platebench_model::scenario::raw::{RawController, RawFault};
 use platebench_model::scenario::{Direction, FaultKind, ScenarioGains};
 use platebench_plate::{Mode, Plate, Time};
 use platebench_wire::LawId;
-use proptest::prelude::{BoxedStrategy, Just, Strategy, any};
-use proptest::{option, prop_oneof};
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
@@ -26,6 +26,16 @@ pub struct Scene {
     pub script_seed: Option<u64>,
     /// If present, the second play differs from the first one.
     pub relation: Option<Relation>,
+}
+
+/// Time of a judged trial that only rare scenes have, µs.
+const RARE_US: u32 = 60_000_000;
+
+impl Scene {
+    /// True if the scene takes long, so that no other one is derived from it.
+    pub(crate) const fn is_rare(&self) -> bool {
+        self.script_seed.is_some() || self.judged.duration_us >= RARE_US
+    }
 }
 
 /// How the second play of a trial differs from the first one, and with it its expected response.
@@ -125,6 +135,11 @@ pub enum Course {
 }
 
 impl Course {
+    /// Always 0.
+    pub(crate) fn zero() -> Self {
+        Self::Hold(vec![(0, 0)])
+    }
+
     /// Instants and values, none for a sine.
     pub fn points(&self) -> &[(u32, i32)] {
         match self {
@@ -238,27 +253,14 @@ pub struct LineFault {
     pub every: u32,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct LineFaultDraw {
-    kind: FaultKind,
-    /// Delay, percent of a period.
-    delay: u32,
-    to_controller: bool,
-    /// Share of the trial before the fault, percent.
-    at: u32,
-    every: u32,
-    /// Length of the window, control periods.
-    length: u32,
-}
-
 /// Length, in control periods, of a window in which every second frame is damaged. A rejected frame
 /// adds 2 to the controller's error counter, a sample subtracts 1, and the controller stops at 10
 /// (docs/wire-protocol.md), here in period 18. If every third frame is damaged, it never stops.
-const UNTIL_STOP: std::ops::RangeInclusive<u32> = 14..=24;
-const LONG_WINDOW: std::ops::RangeInclusive<u32> = 3..=24;
+const UNTIL_STOP: RangeInclusive<i32> = 14..=24;
+const LONG_WINDOW: RangeInclusive<i32> = 3..=24;
 /// Number of consecutive damaged messages that cannot stop the controller. Each may split its frame
 /// in two, so they add at most 8 to the error counter.
-const FEW_FLIPS: u32 = 2;
+const FEW_FLIPS: i32 = 2;
 /// Control periods between faults that lose messages. Closer ones could trigger the watchdog.
 const PERIODS_BETWEEN: u32 = 5;
 /// Shortest time after a fault, control periods, so that a stopped controller runs again at the
@@ -268,54 +270,38 @@ const MIN_PERIODS_AFTER: u32 = 8;
 /// again.
 const RECOVERY_PERIODS: u32 = 60;
 
-impl LineFaultDraw {
-    pub(crate) fn strategy() -> BoxedStrategy<Self> {
-        let kind = prop_oneof![
+impl LineFault {
+    /// Draws a fault in a trial. `None` if the trial is too short for it.
+    pub(crate) fn draw(choices: &mut Choices, duration_us: u32, period_us: u32) -> Option<Self> {
+        let (kind, every, length) = match choices.weighted(&[6, 2, 4, 2, 2, 1, 1, 1, 2, 2, 2]) {
             // A fourth lost message in sequence would trigger the watchdog.
-            6 => (Just(FaultKind::Drop), Just(1), 1..=3_u32),
-            2 => (Just(FaultKind::Drop), 2..=3_u32, LONG_WINDOW),
-            4 => (Just(FaultKind::Duplicate), 1..=2_u32, 2..=8_u32),
-            2 => (Just(FaultKind::Flip), Just(1), 1..=FEW_FLIPS),
-            2 => (Just(FaultKind::Flip), Just(2), UNTIL_STOP),
-            1 => (Just(FaultKind::Flip), Just(3), LONG_WINDOW),
-            1 => (Just(FaultKind::Truncate), Just(1), Just(1)),
-            1 => (Just(FaultKind::Truncate), Just(3), LONG_WINDOW),
-            2 => (Just(FaultKind::Delay(Time::ZERO)), Just(1), 1..=4_u32),
+            0 => (FaultKind::Drop, 1..=1, 1..=3),
+            1 => (FaultKind::Drop, 2..=3, LONG_WINDOW),
+            2 => (FaultKind::Duplicate, 1..=2, 2..=8),
+            3 => (FaultKind::Flip, 1..=1, 1..=FEW_FLIPS),
+            4 => (FaultKind::Flip, 2..=2, UNTIL_STOP),
+            5 => (FaultKind::Flip, 3..=3, LONG_WINDOW),
+            6 => (FaultKind::Truncate, 1..=1, 1..=1),
+            7 => (FaultKind::Truncate, 3..=3, LONG_WINDOW),
+            8 => (FaultKind::Delay(Time::ZERO), 1..=1, 1..=4),
             // These two faults stop the controller, through its error counter or its watchdog.
-            2 => (Just(FaultKind::Babble), Just(1), 3..=4_u32),
-            2 => (Just(FaultKind::Disconnect), Just(1), 6..=9_u32),
-        ];
-        (kind, 20..=150_u32, any::<bool>(), 0..=90_u32)
-            .prop_map(|((kind, every, length), delay, to_controller, at)| Self {
-                kind,
-                delay,
-                to_controller,
-                at,
-                every,
-                length,
-            })
-            .boxed()
-    }
-
-    pub(crate) fn place(self, duration_us: u32, period_us: u32) -> Option<LineFault> {
-        let from_us = (duration_us / 100 * self.at).div_ceil(period_us) * period_us;
-        let until_us = from_us + self.length * period_us;
-        let kind = match self.kind {
-            FaultKind::Delay(_) => FaultKind::Delay(Time::from_nanos(u64::from(period_us * self.delay) * 10)),
+            9 => (FaultKind::Babble, 1..=1, 3..=4),
+            _ => (FaultKind::Disconnect, 1..=1, 6..=9),
+        };
+        let [every, length] = [every, length].map(|range| choices.integer(range).unsigned_abs());
+        let delay_percent = choices.integer(20..=150).unsigned_abs();
+        let direction = if choices.integer(0..=1) == 0 { Direction::ToController } else { Direction::FromController };
+        let before_percent = choices.integer(0..=90).unsigned_abs();
+        let kind = match kind {
+            FaultKind::Delay(_) => FaultKind::Delay(Time::from_nanos(u64::from(period_us * delay_percent) * 10)),
             kind => kind,
         };
-        let direction = if self.to_controller { Direction::ToController } else { Direction::FromController };
-        (until_us + MIN_PERIODS_AFTER * period_us <= duration_us).then_some(LineFault {
-            kind,
-            direction,
-            from_us,
-            until_us,
-            every: self.every,
-        })
+        let from_us = (duration_us / 100 * before_percent).div_ceil(period_us) * period_us;
+        let until_us = from_us + length * period_us;
+        let is_in_trial = until_us + MIN_PERIODS_AFTER * period_us <= duration_us;
+        is_in_trial.then_some(Self { kind, direction, from_us, until_us, every })
     }
-}
 
-impl LineFault {
     /// Instant from which limits apply again, µs.
     pub(crate) const fn recovered_us(&self, period_us: u32) -> u32 {
         self.until_us + RECOVERY_PERIODS * period_us
@@ -330,7 +316,7 @@ impl LineFault {
     pub(crate) fn may_stop_differently(&self, period_us: u32) -> bool {
         match self.kind {
             FaultKind::Disconnect => true,
-            FaultKind::Flip => self.until_us - self.from_us > FEW_FLIPS * period_us,
+            FaultKind::Flip => self.until_us - self.from_us > FEW_FLIPS.unsigned_abs() * period_us,
             _ => false,
         }
     }
@@ -381,30 +367,31 @@ pub struct Tuning {
     pub slew_tenths: Option<u32>,
 }
 
-/// Probability of each setting in a scene whose stratum has tuned configurations.
-const SHARE: f64 = 0.4;
+/// A setting is present in the second of these parts of the scenes whose stratum has tuned
+/// configurations.
+const SETTING_PARTS: [u32; 2] = [6, 4];
 
 impl Tuning {
-    pub(crate) fn strategy(ranges: &Ranges, is_tuned: bool) -> BoxedStrategy<Self> {
-        if !is_tuned {
-            return Just(Self::default()).boxed();
-        }
-        let whole = |[low, high]: [f64; 2], scale: f64| (low * scale) as u32..=(high * scale) as u32;
-        let percent = || whole(ranges.configured_gains_percent, 1.0);
-        let fields = (
-            option::weighted(SHARE, whole(ranges.response_time_ms, 10.0)),
-            option::weighted(SHARE, (percent(), percent())),
-            option::weighted(SHARE, whole(ranges.frequency_range_hz, 10.0)),
-            option::weighted(SHARE, whole(ranges.frequency_slew_hz, 10.0)),
-        );
-        fields
-            .prop_map(|(response_tenths, gains, range_tenths, slew_tenths)| Self {
-                response_tenths,
-                gains_percent: gains.map(|(amplitude, frequency)| [amplitude, frequency]),
-                range_tenths,
-                slew_tenths,
-            })
-            .boxed()
+    pub(crate) fn draw(choices: &mut Choices, ranges: &Ranges, is_tuned: bool) -> Self {
+        // 0: no setting; otherwise 1 more than the distance from the end of the range.
+        let mut setting = |[low, high]: [f64; 2], scale: f64| {
+            let [low, high] = [low, high].map(|end| (end * scale) as i32);
+            let value = choices.number(0..=high - low + 1, |random| {
+                if is_tuned && weighted(random, &SETTING_PARTS) == 1 {
+                    uniform(random, &(1..=high - low + 1))
+                } else {
+                    0
+                }
+            });
+            (value > 0).then_some((low + value - 1).unsigned_abs())
+        };
+        let response_tenths = setting(ranges.response_time_ms, 10.0);
+        let range_tenths = setting(ranges.frequency_range_hz, 10.0);
+        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0);
+        let amplitude = setting(ranges.configured_gains_percent, 1.0);
+        let [low, high] = ranges.configured_gains_percent.map(|percent| percent as i32);
+        let gains_percent = amplitude.map(|amplitude| [amplitude, choices.integer(low..=high).unsigned_abs()]);
+        Self { response_tenths, gains_percent, range_tenths, slew_tenths }
     }
 
     /// `controller` with these settings. `design` is the configured plate.

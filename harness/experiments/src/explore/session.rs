@@ -13,7 +13,7 @@ use crate::explore::report;
 use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
 use crate::explore::scenario_file::ScenarioBuilder;
 use crate::explore::sequence::SequenceLimits;
-use crate::explore::shrink::{MinimalScene, Shrinker, shrink_messages};
+use crate::explore::shrink::{MinimalScene, shrink_scene, shrink_sequence};
 #[cfg(feature = "firmware-analysis")]
 use crate::firmware_analysis::suite::read_code;
 use platebench_engine::plan::LinkFactory;
@@ -147,8 +147,8 @@ impl ExploreSession {
         }
         for (position, failed) in distinct_sequences(&exploration.failed_sequences).into_iter().enumerate() {
             let rest = (deadline + SEQUENCE_SHRINK_TIME).saturating_duration_since(Instant::now());
-            let deadline = is_playable.then(|| Instant::now() + rest / (MAX_MINIMAL - position) as u32);
-            is_playable &= add(self.minimise_sequence(&config, &connect, (cancel, &ends), failed, deadline));
+            let time = is_playable.then_some(rest / (MAX_MINIMAL - position) as u32);
+            is_playable &= add(self.minimise_sequence(&config, &connect, (cancel, &ends), failed, time));
         }
         report.record_stop(stop.as_ref());
         report.record_ends(&ends);
@@ -219,35 +219,24 @@ impl ExploreSession {
         Err(ExploreError::LawNotAnnounced { law: name.to_owned(), options: options.join(" or ") })
     }
 
-    /// Stores the sequence, reduced until `deadline`. Without a deadline it is stored as it is. An
-    /// error of the rig comes with the stored sequence.
+    /// Stores the sequence, reduced for at most `time`; `None` stores it as it is. An error of the rig
+    /// comes with the stored sequence.
     fn minimise_sequence(
         &self,
         config: &ExploreConfig,
         connect: &LinkFactory<'_>,
         (cancel, ends): (&CancelToken, &SafeEnds),
         failed: &FailedSequence,
-        deadline: Option<Instant>,
+        time: Option<Duration>,
     ) -> (Option<ViolationReport>, Option<ExploreError>) {
         let FailedSequence { messages: original, properties, .. } = failed;
         let property = properties.first().copied().unwrap_or(Property::Answers);
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
-        let mut replays = 0;
-        let shrunk = deadline.map(|deadline| {
-            shrink_messages(original.clone(), deadline, &mut |messages| {
-                // A candidate may be invalid, for example if the messages before an `again` are gone.
-                let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
-                replays += 1;
-                player.renew();
-                let result = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
-                let failure = result.failure_of(property).map(|failure| failure.name.clone());
-                Ok(failure.map(|name| result.differences.into_iter().next().unwrap_or(name)))
-            })
-        });
-        let ((minimal, difference), error) = or_original(shrunk, || (original.clone(), None));
+        let shrunk = time.map(|time| shrink_sequence(config, &mut player, failed, property, time));
+        let ((minimal, difference, replays), error) = or_original(shrunk, || (original.clone(), None, 0));
         let stored = self.write_sequence(config, failed, property, &minimal, difference);
-        let replayed = deadline.is_some() && error.is_none();
-        reproduce(stored.map(|violation| ViolationReport { replays, ..violation }), error, replayed, &mut player)
+        let stored = stored.map(|violation| ViolationReport { replays, ..violation });
+        reproduce(stored, error, time.is_some(), &mut player)
     }
 
     fn write_sequence(
@@ -302,7 +291,7 @@ impl ExploreSession {
         time: Option<Duration>,
     ) -> (Option<ViolationReport>, Option<ExploreError>) {
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
-        let shrunk = time.map(|time| Shrinker::new(config, &mut player, time).shrink(failed, property));
+        let shrunk = time.map(|time| shrink_scene(config, &mut player, failed, property, time));
         let original = || MinimalScene {
             scene: failed.scene.clone(),
             demands: config.demands(&failed.scene),

@@ -5,7 +5,7 @@ use platebench_engine::SafeEnds;
 use platebench_experiments::explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_experiments::explore::report::violated_properties;
 use platebench_experiments::explore::session::ExploreSession;
-use platebench_experiments::explore::shrink::Shrinker;
+use platebench_experiments::explore::shrink::shrink_scene;
 use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, ExploreError, Player, Property, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
@@ -87,8 +87,7 @@ fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #
         assert!(matches!(property, Property::Reference | Property::Answers));
         let ends = SafeEnds::default();
         let mut player = Player::new(&low_drive, false, &cancel, &ends);
-        let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME);
-        let minimal = shrinker.shrink(failed, property).unwrap();
+        let minimal = shrink_scene(&config, &mut player, failed, property, SHRINK_TIME).unwrap();
         assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
         assert!(minimal.failure.value > Some(0.1), "{:?}", minimal.failure);
     }
@@ -103,8 +102,7 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
         violated_properties(&result).into_iter().find(|(property, _)| *property == Property::StaticError).unwrap();
     let ends = SafeEnds::default();
     let mut player = Player::new(&mutant, false, &cancel, &ends);
-    let mut shrinker = Shrinker::new(&config, &mut player, SHRINK_TIME);
-    let minimal = shrinker.shrink(failed, Property::StaticError).unwrap();
+    let minimal = shrink_scene(&config, &mut player, failed, Property::StaticError, SHRINK_TIME).unwrap();
     assert!(minimal.is_reproduced);
     assert!(minimal.scene.earlier.is_empty(), "{:?}", minimal.scene);
     assert_eq!(minimal.scene.judged.setpoint.points().len(), 1, "{:?}", minimal.scene);

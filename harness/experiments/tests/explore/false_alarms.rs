@@ -111,11 +111,11 @@ fn false_alarms(seeds: std::ops::Range<u64>, counts: Counts) -> (Vec<String>, u6
             let config = ExploreConfig { seed, compares_reference, laws: laws.clone(), ..configuration(law, 1) };
             // Each seed has other scenes, and with them other strata.
             let scenes = (seed * counts.scenes..).take(counts.scenes as usize).map(|index| {
-                let scene = config.generator().tree(index).unwrap().current();
+                let scene = config.generator().scene(index).item;
                 (format!("scene {index}"), config.scenario(&scene, "A scene"))
             });
             let sequences = (0..counts.sequences).map(|index| {
-                let messages = limits.sequence(seed, index);
+                let messages = limits.sequence(seed, index).item;
                 (format!("sequence {index}"), config.sequence_scenario(&messages, "A sequence", ""))
             });
             for (item, scenario) in scenes.chain(sequences) {

@@ -3,10 +3,13 @@
 use crate::fixtures::configuration;
 use platebench_experiments::explore::Property;
 use platebench_experiments::explore::coverage::{ChangeKind, Coverage};
+use platebench_experiments::explore::guidance::derive;
 use platebench_experiments::explore::scene::Tuning;
 use platebench_experiments::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
 use platebench_model::scenario::load;
 use platebench_wire::LawId;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use rstest::rstest;
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
@@ -15,12 +18,40 @@ use std::f64::consts::TAU;
 fn a_scene_does_not_depend_on_other_scenes() {
     let config = configuration(LawId::DqPi, 1);
     let generator = config.generator();
-    let scene = |index| generator.tree(index).unwrap().current();
+    let scene = |index| generator.scene(index);
     let forward: Vec<_> = (0..40).map(scene).collect();
     let backward: Vec<_> = (0..40).rev().map(scene).collect();
     assert!(forward.iter().eq(backward.iter().rev()));
     let other = platebench_experiments::explore::Generator { seed: 2, ..generator };
-    assert_ne!(forward[7], other.tree(7).unwrap().current());
+    assert_ne!(forward[7], other.scene(7));
+}
+
+#[test]
+fn a_record_makes_the_same_scene_again() {
+    let config = configuration(LawId::DqPi, 1);
+    let generator = config.generator();
+    for index in 0..600 {
+        let scene = generator.scene(index);
+        assert_eq!(generator.replay(&scene.choices), scene, "{index}");
+    }
+    // Without choices, every value is the simplest one.
+    let simplest = generator.replay(&[]).item;
+    assert_eq!((simplest.earlier.len(), simplest.count, simplest.script_seed), (0, 1, None));
+    assert_eq!((simplest.judged.setpoint, simplest.judged.period_us), (Course::Hold(vec![(0, 1_000)]), 1_000));
+}
+
+#[test]
+fn a_changed_record_makes_a_valid_scene() {
+    let config = configuration(LawId::DqPi, 1);
+    let generator = config.generator();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    for index in 0..300 {
+        let [parent, other, drawn] = [index, index + 7, index + 31].map(|index| generator.scene(index).choices);
+        let derived = derive(&parent, [&other, &drawn], &mut random);
+        let scene = generator.replay(&derived);
+        assert_eq!(generator.replay(&scene.choices), scene, "{index}");
+        config.scenario(&scene.item, "Scene").check().unwrap_or_else(|error| panic!("scene {index}: {error}"));
+    }
 }
 
 #[rstest]
@@ -31,7 +62,7 @@ fn every_scene_loads(#[case] law: LawId) {
     let config = configuration(law, 1);
     let folder = tempfile::tempdir().unwrap();
     for index in 0..200 {
-        let scene = config.generator().tree(index).unwrap().current();
+        let scene = config.generator().scene(index).item;
         let raw = config.scenario(&scene, "Scene");
         raw.write(folder.path(), "scene", &[]).unwrap();
         let scenario = load(&folder.path().join("scene.toml"), "scene.toml");
@@ -46,7 +77,7 @@ fn a_plate_keeps_its_name_and_source() {
     let plate = &mut config.envelope.plate;
     (plate.name, plate.source) = ("e\u{301} \"4\"\u{1b}".to_owned(), "two\nlines \\ '''\u{0}".to_owned());
     let expected = (plate.name.clone(), plate.source.clone());
-    let scene = config.generator().tree(0).unwrap().current();
+    let scene = config.generator().scene(0).item;
     let folder = tempfile::tempdir().unwrap();
     config.scenario(&scene, "Scene").write(folder.path(), "scene", &[]).unwrap();
     let plate = load(&folder.path().join("scene.toml"), "scene.toml").unwrap().plate;
@@ -59,7 +90,7 @@ fn a_plate_keeps_its_name_and_source() {
 fn sines_stay_below_the_largest_rate(#[case] highest: f64) {
     let mut config = configuration(LawId::DqPi, 1);
     config.envelope.range.force_rate_n_per_s = [0.01, highest];
-    let slopes = (0..400).filter_map(|index| match config.generator().tree(index).unwrap().current().judged.force {
+    let slopes = (0..400).filter_map(|index| match config.generator().scene(index).item.judged.force {
         // The force is in 0.01 N, the frequency in 0.1 Hz.
         Course::Sine { amplitude, frequency_tenths, .. } => {
             Some(TAU * f64::from(amplitude) / 100.0 * f64::from(frequency_tenths) / 10.0)
@@ -77,7 +108,7 @@ fn a_hundred_scenes_cover_every_kind_of_change_and_history() {
     let config = configuration(LawId::DqPi, 1);
     let mut coverage = Coverage::default();
     for index in 0..100 {
-        coverage.add(&config.generator().tree(index).unwrap().current(), &config.envelope);
+        coverage.add(&config.generator().scene(index).item, &config.envelope);
     }
     let followed = |second: ChangeKind| ChangeKind::ALL.iter().any(|first| coverage.pair(*first, second) > 0);
     let missing: Vec<_> = ChangeKind::ALL.iter().filter(|kind| !followed(**kind)).collect();
@@ -118,9 +149,37 @@ fn the_noise_of_the_frequency_limit_grows_with_the_damping() {
             config.demands(&Scene { earlier: Vec::new(), judged, count: 1, script_seed: None, relation: None });
         demands.iter().find(|demand| demand.property == Property::Frequency).unwrap().at_most
     };
-    // Six standard deviations of 2.5 nm are 3 % of 0.5 µm. A finger of 1.5 N doubles the damping.
-    let of_noise = 0.03 / (TAU * 1.88e-3);
+    // Six standard deviations of 2.5 nm are 3 % of 0.5 µm. A finger of 1.5 N doubles the damping. The
+    // loop multiplies the apparent detuning by (1 − e^(−3T/2 ms))/(1 − e^(−σT)).
+    let of_noise = |ratio: f64| {
+        let gain = (1.0 - (-3.0 * 0.9_f64 / 2.0).exp()) / (1.0 - (-ratio * 0.9 / 1.88).exp());
+        gain * ratio * 0.03 / (TAU * 1.88e-3)
+    };
     let (free, damped) = (limit(0), limit(150));
-    assert!((free - 0.5 - of_noise).abs() < 1e-3, "{free}");
-    assert!((damped - 0.5 - 2.0 * of_noise).abs() < 1e-3, "{damped}");
+    assert!((free - 0.5 - of_noise(1.0)).abs() < 1e-3, "{free}");
+    assert!((damped - 0.5 - of_noise(2.0)).abs() < 1e-3, "{damped}");
+}
+
+#[test]
+fn tracking_is_judged_after_an_unsteady_start() {
+    let config = configuration(LawId::DqPi, 1);
+    let simplest = config.generator().replay(&[]).item;
+    let tracking = |start_us: u32, end_us: u32| {
+        let judged = SceneTrial {
+            duration_us: end_us + 50_000,
+            setpoint: Course::Linear(vec![(0, 500), (start_us, 500), (end_us, 1_500)]),
+            ..simplest.judged.clone()
+        };
+        let demands = config.demands(&Scene { judged, ..simplest.clone() });
+        let tracking = demands.iter().find(|demand| demand.property == Property::Tracking);
+        tracking.map(|demand| (demand.from_us, demand.until_us))
+    };
+    // From a steady state, a ramp is judged from its start.
+    assert_eq!(tracking(200_000, 400_000), Some((200_000, 400_000)));
+    let (from_us, until_us) = tracking(5_000, 400_000).unwrap();
+    assert!((5_000..40_000).contains(&from_us) && until_us == 400_000, "{from_us}, {until_us}");
+    // Four periods are the shortest window. Ramps that end at a control instant are steady equally late.
+    let shortest = (from_us + 4_000).next_multiple_of(1_000);
+    assert_eq!(tracking(5_000, shortest), Some((from_us, shortest)));
+    assert_eq!(tracking(5_000, shortest - 1_000), None);
 }

@@ -4,6 +4,7 @@
 use crate::fixtures::configuration;
 use platebench_engine::SafeEnds;
 use platebench_experiments::explore::exploration::{Exploration, explore_and_record};
+use platebench_experiments::explore::guidance::derive;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::{ExploreConfig, Player, explore};
 use platebench_experiments::firmware_analysis::suite::read_code;
@@ -11,6 +12,8 @@ use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::scenario::{ScenarioMessage, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, EmulatedLink, HostedLink, Session};
 use platebench_wire::{LawId, Message};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use rstest::rstest;
 use std::collections::BTreeSet;
 
@@ -53,8 +56,12 @@ fn derived_scenes_do_not_depend_on_the_number_of_workers() {
     };
     assert_eq!(scenes(&one), scenes(&two));
     let config = guided(130);
-    let drawn = |index: u64| config.generator().tree(index).unwrap().current();
-    assert!(one.failed.iter().any(|failed| failed.scene != drawn(failed.index)), "no derived scene failed");
+    let drawn = |index: u64| config.generator().scene(index).item;
+    assert!(
+        one.failed.iter().any(|failed| failed.scene != drawn(failed.index)),
+        "no derived scene failed: {:?}",
+        scenes(&one).iter().map(|scene| scene.0).collect::<Vec<_>>()
+    );
 }
 
 #[test]
@@ -65,18 +72,28 @@ fn a_derived_sequence_is_valid_and_passes_a_correct_controller() {
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
     let mut player = Player::new(&connect, false, &cancel, &ends);
     let config = ExploreConfig { compares_reference: true, ..config };
+    let mut count = 0;
     for index in 0..40 {
-        let [parent, drawn] = [limits.sequence(1, index), limits.sequence(2, index)];
-        let derived = limits.derive(1, index, &parent, &drawn);
-        assert_eq!(derived, limits.derive(1, index, &parent, &drawn));
+        let [parent, drawn] = [1, 2].map(|seed| limits.sequence(seed, index));
+        if !limits.may_be_parent(&parent.item) {
+            continue;
+        }
+        count += 1;
+        let [derived, again] = [(); 2].map(|()| {
+            let choices =
+                derive(&parent.choices, [&drawn.choices, &drawn.choices], &mut ChaCha8Rng::seed_from_u64(index));
+            limits.replay(&choices).item
+        });
+        assert_eq!(derived, again);
         assert!(matches!(derived.first(), Some(ScenarioMessage::Configure(_))));
-        assert!(derived.len() <= 1_000 && derived != drawn && derived != parent);
+        assert!(derived.len() <= 1_000 && derived != drawn.item && derived != parent.item);
         let folder = tempfile::tempdir().unwrap();
         config.sequence_scenario(&derived, "Derived", "").write(folder.path(), "derived", &[]).unwrap();
         let scenario = load(&folder.path().join("derived.toml"), "derived.toml").unwrap();
         let result = player.play(&scenario).unwrap().unwrap();
         assert!(result.failures.is_empty(), "{index}: {:?}", result.differences);
     }
+    assert!(count >= 25, "{count}");
 }
 
 #[test]

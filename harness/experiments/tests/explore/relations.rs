@@ -6,7 +6,7 @@ use platebench_engine::SafeEnds;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::report::violated_properties;
 use platebench_experiments::explore::scenario_file::ScenarioBuilder;
-use platebench_experiments::explore::shrink::Shrinker;
+use platebench_experiments::explore::shrink::shrink_scene;
 use platebench_experiments::explore::{ExploreConfig, Player, Property, explore};
 use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::scenario::load;
@@ -66,7 +66,7 @@ fn a_relation_finds_a_fault(#[case] fault: Fault, #[case] property: Property) {
     let connect = || controller(fault);
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
     let mut player = Player::new(&connect, false, &cancel, &ends);
-    let minimal = Shrinker::new(&config, &mut player, Duration::from_hours(1)).shrink(failed, property).unwrap();
+    let minimal = shrink_scene(&config, &mut player, failed, property, Duration::from_hours(1)).unwrap();
     assert!(minimal.is_reproduced && minimal.demands.len() == 1, "{minimal:?}");
     let folder = tempfile::tempdir().unwrap();
     let base = &config.envelope.plate;

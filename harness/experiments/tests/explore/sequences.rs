@@ -3,14 +3,17 @@
 
 use crate::fixtures::configuration;
 use platebench_engine::SafeEnds;
+use platebench_experiments::explore::choices::Drawn;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
+use platebench_experiments::explore::shrink::shrink_sequence;
 use platebench_experiments::explore::{ExploreConfig, Player, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, protocol_faults};
 use platebench_model::scenario::{ScenarioMessage, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
 use platebench_wire::{Configure, LawId, Message};
 use rstest::rstest;
+use std::time::Duration;
 
 fn limits() -> SequenceLimits {
     SequenceLimits {
@@ -89,6 +92,22 @@ fn sequences_find_faults_of_every_law(
     assert!(!result.failed_sequences.is_empty(), "{:?}", result.sequences);
 }
 
+#[rstest]
+#[case::infinite_wq(|| boxed(accepts_infinite_wq), 2)]
+#[case::timer(|| boxed(timer_of_eight_bits), 4)]
+fn a_failing_sequence_shrinks_to_few_messages(#[case] mutant: fn() -> Box<dyn Mutant>, #[case] most: usize) {
+    let config = ExploreConfig { sequences: Some(limits()), max_failed: 1, jobs: 1, ..configuration(LawId::DqPi, 24) };
+    let link = || Box::new(MutantController::new(HostedLink::new(), mutant)) as BoxedLink;
+    let result = play(&config, &link);
+    let connect = || Ok::<_, ConnectError>(link());
+    let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
+    let mut player = Player::new(&connect, false, &cancel, &ends);
+    let failed = &result.failed_sequences[0];
+    let time = Duration::from_hours(1);
+    let (messages, difference, _) = shrink_sequence(&config, &mut player, failed, failed.properties[0], time).unwrap();
+    assert!(messages.len() <= most && difference.is_some(), "{messages:?}");
+}
+
 #[test]
 fn scaled_samples_find_a_law_that_depends_on_the_level() {
     // Scenes find it too, so one failure may end the exploration before a sequence.
@@ -103,7 +122,7 @@ fn a_slow_rig_skips_long_runs() {
     let slow = SequenceLimits { longest: 2_000, ..limits() };
     let config = ExploreConfig { sequences: Some(slow), ..configuration(LawId::DqPi, 8) };
     let result = play(&config, &|| Box::new(HostedLink::new()));
-    let is_long = |index: &u64| SequenceLimits::cost(&limits().sequence(config.seed, *index)) > 2_000;
+    let is_long = |index: &u64| SequenceLimits::cost(&limits().sequence(config.seed, *index).item) > 2_000;
     let skipped = (0..24).filter(is_long).count() as u64;
     // Many configurations and many samples at least.
     assert!((2..12).contains(&skipped), "{skipped}");
@@ -115,8 +134,9 @@ fn a_sequence_is_equal_as_a_file() {
     let config = configuration(LawId::DqPi, 1);
     let folder = tempfile::tempdir().unwrap();
     for index in 0..72 {
-        let sequence = limits().sequence(7, index);
-        assert_eq!(limits().sequence(7, index), sequence);
+        let Drawn { item: sequence, choices } = limits().sequence(7, index);
+        assert_eq!(limits().sequence(7, index).item, sequence);
+        assert_eq!(limits().replay(&choices), Drawn { item: sequence.clone(), choices }, "{index}");
         // One in eleven starts before the first configuration.
         assert_eq!(matches!(sequence.first(), Some(ScenarioMessage::Configure(_))), index % 11 != 10);
         config.sequence_scenario(&sequence, "A sequence", "").write(folder.path(), "sequence", &[]).unwrap();
@@ -132,7 +152,7 @@ fn survivors(faults: &[MutantSpec], limits: &SequenceLimits, config: &ExploreCon
         let connect = || Ok::<_, ConnectError>(fault.link());
         let mut player = Player::new(&connect, false, &cancel, &ends);
         (0..count).all(|index| {
-            let messages = limits.sequence(config.seed, index);
+            let messages = limits.sequence(config.seed, index).item;
             let scenario = config.sequence_scenario(&messages, "A sequence", "").check().unwrap();
             player.play(&scenario).unwrap().unwrap().failures.is_empty()
         })
