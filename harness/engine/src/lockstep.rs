@@ -346,7 +346,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
             let is_silent = u64::from(self.controller.missed_replies()) >= WATCHDOG_PERIODS;
             // The firmware has no signal that disables the amplifier, so the bench applies 0 V.
             if is_silent && !self.has_ended() && self.amplifier_enabled().is_none() {
-                self.end_on_link_error(RigError::NoAnswer { expected: "command" });
+                self.end_on_link_error(self.session.no_answer("command"));
             }
             return;
         }
@@ -357,7 +357,7 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         }
         self.controller.record_missed_reply();
         if self.controller.missed_replies() >= MAX_MISSED_REPLIES && !self.has_ended() {
-            self.end_on_link_error(RigError::NoAnswer { expected: "command" });
+            self.end_on_link_error(self.session.no_answer("command"));
         }
     }
 

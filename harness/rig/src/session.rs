@@ -428,7 +428,9 @@ impl<L: Link> Session<L> {
         self.rejected_frames
     }
 
-    fn no_answer(&self, expected: &'static str) -> RigError {
+    /// The error of a silent controller. It names the first rejected frame, because a controller
+    /// whose messages have a wrong layout looks silent.
+    pub fn no_answer(&self, expected: &'static str) -> RigError {
         match self.frames.first() {
             Some(frame) => RigError::RejectedAnswer { expected, frame },
             None => RigError::NoAnswer { expected },

@@ -10,7 +10,7 @@
 use crate::metrics::measure;
 use crate::uncertainty::has_moving_modes;
 use platebench_model::record::Telemetry;
-use platebench_model::scenario::{Expectation, Metric, Scenario, Variation};
+use platebench_model::scenario::{Expectation, Metric, Scenario, Variation, Window};
 use platebench_model::trace::Row;
 use platebench_plate::{BandSignal, Complex64, Conditions, Drive, Mode, Model, Plant, Plate, State, Time};
 use std::f64::consts::{PI, TAU};
@@ -45,8 +45,8 @@ pub fn missed_between_rows(
     Some((value(&exact)? - value(rows)?).abs())
 }
 
-/// The rows, and a row at each extreme of the signal that exceeds the rows with the same setpoint.
-/// `None` for a sensed signal, which has no values between the control instants.
+/// The rows, and rows at extremes of the signal that exceed all rows with the same setpoint in the
+/// same windows. The largest one is always among them. `None` for a sensed signal, which has no values between the control instants.
 pub fn rows_with_extremes(
     scenario: &Scenario,
     index: u32,
@@ -60,10 +60,7 @@ pub fn rows_with_extremes(
         "amplitude_um" => BandSignal::Amplitude,
         _ => return None,
     };
-    let is_in_window = |row: &Row| {
-        expectation.windows.iter().any(|window| window.from.seconds() <= row.t_s && row.t_s < window.to.seconds())
-    };
-    let ranges = setpoint_ranges(rows, signal, is_in_window);
+    let ranges = setpoint_ranges(rows, signal, &expectation.windows);
     let variation = Variation::of_trial(scenario, index);
     if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() || has_moving_modes(scenario) {
         let mut plant = variation.plant(&without_sensor(scenario));
@@ -91,7 +88,7 @@ pub fn rows_with_extremes(
         let motion = Motion::new(&poles, TAU * row.frequency_hz, row.drive_vpp, w, fast);
         let seconds = next.t_s - row.t_s;
         if let Some(range) = ranges.at(number) {
-            motion.push_extremes(row, signal, seconds, &range, &mut extended);
+            motion.push_extremes(row, signal, seconds, range, &mut extended);
         }
         fast = last.fast_after(&motion, seconds);
     }
@@ -140,7 +137,8 @@ fn simulated_extremes(
         let bound = speed * (seconds / 2.0 + 2.0 / (drive.omega + slowest));
         let ends = [w, next_w].map(|w| value_of(signal, w));
         let mut found = Vec::new();
-        for (sign, limit) in [(1.0, range.highest), (-1.0, -range.lowest)] {
+        for sign in [1.0, -1.0] {
+            let limit = range.limit(sign);
             if (sign * ends[0]).max(sign * ends[1]) + bound <= limit {
                 continue;
             }
@@ -150,7 +148,9 @@ fn simulated_extremes(
             let around = [start.max(at - span.min(at)), end.min(at + span)];
             let (at, fine) = largest_of(&plant, signal, sign, around, step / POINTS_PER_PERIOD);
             let state = if sign * signal.value(&fine) > sign * signal.value(&coarse) { fine } else { coarse };
-            if sign * signal.value(&state) > limit + ROUNDING_UM {
+            let largest = sign * signal.value(&state);
+            if largest > limit + ROUNDING_UM {
+                range.raise(sign, largest);
                 found.push((at, state.w));
             }
         }
@@ -181,13 +181,27 @@ fn row_at(row: &Row, t_s: f64, w: Complex64) -> Row {
     Row { t_s, wd_um: w.re, wq_um: w.im, amplitude_um: w.norm(), ..*row }
 }
 
-/// Rows `first` to `last` of a window with one setpoint, and the extremes of their values.
+/// Rows `first` to `last` with one setpoint, and the extremes of their values and of what was found
+/// between them.
 #[derive(Debug, Clone, Copy)]
 struct SetpointRange {
     first: usize,
     last: usize,
     lowest: f64,
     highest: f64,
+}
+
+impl SetpointRange {
+    /// The value that `sign` times the signal must exceed.
+    fn limit(&self, sign: f64) -> f64 {
+        if sign > 0.0 { self.highest } else { -self.lowest }
+    }
+
+    /// Later extremes must exceed this one.
+    fn raise(&mut self, sign: f64, largest: f64) {
+        let limit = if sign > 0.0 { &mut self.highest } else { &mut self.lowest };
+        *limit = sign * largest;
+    }
 }
 
 /// The ranges in the order of the rows, and the present one.
@@ -202,24 +216,31 @@ impl<I: Iterator<Item = SetpointRange>> Ranges<I> {
     }
 
     /// The range that contains row `number` and the next one. `number` must not decrease.
-    fn at(&mut self, number: usize) -> Option<SetpointRange> {
+    fn at(&mut self, number: usize) -> Option<&mut SetpointRange> {
         while self.present.is_some_and(|range| range.last <= number) {
             self.present = self.ranges.next();
         }
-        self.present.filter(|range| range.first <= number)
+        self.present.as_mut().filter(|range| range.first <= number)
     }
 }
 
+/// A range ends if the setpoint or the windows that contain the rows change.
 fn setpoint_ranges<'a>(
     rows: &'a [Row],
     signal: BandSignal,
-    is_in_window: impl Fn(&Row) -> bool + 'a,
+    windows: &'a [Window],
 ) -> impl Iterator<Item = SetpointRange> + 'a {
+    let is_inside = |window: &Window, row: &Row| window.from.seconds() <= row.t_s && row.t_s < window.to.seconds();
+    let is_in_window = move |row: &Row| windows.iter().any(|window| is_inside(window, row));
     let mut next = 0;
     std::iter::from_fn(move || {
-        let first = next + rows.get(next..)?.iter().position(&is_in_window)?;
-        let setpoint = rows.get(first)?.setpoint_um;
-        let inside = rows.get(first..)?.iter().take_while(|row| row.setpoint_um == setpoint && is_in_window(row));
+        let first = next + rows.get(next..)?.iter().position(is_in_window)?;
+        let start = rows.get(first)?;
+        let belongs = |row: &&Row| {
+            row.setpoint_um == start.setpoint_um
+                && windows.iter().all(|window| is_inside(window, row) == is_inside(window, start))
+        };
+        let inside = rows.get(first..)?.iter().take_while(belongs);
         let empty = SetpointRange { first, last: first, lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
         let range = inside.enumerate().fold(empty, |range, (place, row)| {
             let value = value_of(signal, Complex64::new(row.wd_um, row.wq_um));
@@ -295,20 +316,43 @@ impl Motion {
         self.slow_rest + self.fast_rest + slow + fast
     }
 
-    /// Adds rows at the extremes between `row` and the next one, `seconds` later.
-    fn push_extremes(&self, row: &Row, signal: BandSignal, seconds: f64, range: &SetpointRange, rows: &mut Vec<Row>) {
+    /// W without the fast part that decays.
+    fn slow_after(&self, seconds: f64) -> Complex64 {
         let [amplitude, pole] = self.slow;
-        let bound = 2.0 * self.fast[0].norm() + (seconds * pole.norm()).powi(2) / 8.0 * amplitude.norm();
-        let ends = [0.0, seconds].map(|t| value_of(signal, self.after(t)));
+        self.slow_rest + self.fast_rest + amplitude * (pole * seconds).exp()
+    }
+
+    /// Bound of `sign` times the signal in `seconds`: that of the chord of the slow part, its
+    /// distance from the chord, `t²|W''|/8`, and the fast part.
+    fn bound(&self, signal: BandSignal, sign: f64, seconds: f64) -> f64 {
+        let [amplitude, pole] = self.slow;
+        let [start, end] = [0.0, seconds].map(|t| self.slow_after(t));
+        let at_ends = (sign * value_of(signal, start)).max(sign * value_of(signal, end));
+        let chord = match signal {
+            BandSignal::Amplitude if sign < 0.0 => -distance_from_zero(start, end),
+            _ => at_ends,
+        };
+        chord + (seconds * pole.norm()).powi(2) / 8.0 * amplitude.norm() + self.fast[0].norm()
+    }
+
+    /// Adds rows at the extremes between `row` and the next one, `seconds` later.
+    fn push_extremes(
+        &self,
+        row: &Row,
+        signal: BandSignal,
+        seconds: f64,
+        range: &mut SetpointRange,
+        rows: &mut Vec<Row>,
+    ) {
         let mut found = Vec::new();
-        for (sign, limit) in [(1.0, range.highest), (-1.0, -range.lowest)] {
-            let value = |t: f64| sign * value_of(signal, self.after(t));
-            let [start, end] = ends.map(|value| sign * value);
-            if start.max(end) + bound <= limit {
+        for sign in [1.0, -1.0] {
+            let limit = range.limit(sign);
+            if self.bound(signal, sign, seconds) <= limit {
                 continue;
             }
-            let t = self.largest_at(&value, seconds);
-            if value(t) > limit + ROUNDING_UM {
+            let (t, largest) = largest_at(|t| sign * value_of(signal, self.after(t)), seconds, self.fastest(seconds));
+            if largest > limit + ROUNDING_UM {
+                range.raise(sign, largest);
                 found.push(t);
             }
         }
@@ -316,23 +360,37 @@ impl Motion {
         rows.extend(found.into_iter().map(|t| row_at(row, row.t_s + t, self.after(t))));
     }
 
-    /// Instant of the largest value, by a scan and by sections in the golden ratio.
-    fn largest_at(&self, value: &impl Fn(f64) -> f64, seconds: f64) -> f64 {
-        let fastest = self.fast[1].im.abs().max(self.slow[1].norm()).max(PI / seconds);
-        let count = (seconds * fastest / TAU * POINTS_PER_PERIOD).ceil().clamp(POINTS_PER_PERIOD, 1e6);
-        let step = seconds / count;
-        let best = (0..=count as u32)
-            .map(|number| f64::from(number) * step)
-            .reduce(|best, t| if value(t) > value(best) { t } else { best });
-        let best = best.unwrap_or_default();
-        let (mut low, mut high) = ((best - step).max(0.0), (best + step).min(seconds));
-        for _ in 0..GOLDEN_STEPS {
-            let section = GOLDEN_RATIO * (high - low);
-            let (left, right) = (high - section, low + section);
-            if value(left) < value(right) { low = left } else { high = right }
-        }
-        f64::midpoint(low, high)
+    /// Largest angular frequency of the motion, rad/s; at least half a period in `seconds`.
+    fn fastest(&self, seconds: f64) -> f64 {
+        self.fast[1].im.abs().max(self.slow[1].norm()).max(PI / seconds)
     }
+}
+
+/// Distance of the segment from `start` to `end` from 0.
+fn distance_from_zero(start: Complex64, end: Complex64) -> f64 {
+    let chord = end - start;
+    let along = if chord.norm_sqr() > 0.0 { -(start * chord.conj()).re / chord.norm_sqr() } else { 0.0 };
+    (start + chord * along.clamp(0.0, 1.0)).norm()
+}
+
+/// Instant and size of the largest value in `seconds`, by a scan and by sections in the golden
+/// ratio. `fastest` is the largest angular frequency of the value, rad/s.
+fn largest_at(value: impl Fn(f64) -> f64, seconds: f64, fastest: f64) -> (f64, f64) {
+    let count = (seconds * fastest / TAU * POINTS_PER_PERIOD).ceil().clamp(POINTS_PER_PERIOD, 1e6);
+    let step = seconds / count;
+    let points = (0..=count as u32).map(|number| f64::from(number) * step);
+    let (best, _) = points.fold((0.0, f64::NEG_INFINITY), |best, t| {
+        let here = value(t);
+        if here > best.1 { (t, here) } else { best }
+    });
+    let (mut low, mut high) = ((best - step).max(0.0), (best + step).min(seconds));
+    for _ in 0..GOLDEN_STEPS {
+        let section = GOLDEN_RATIO * (high - low);
+        let (left, right) = (high - section, low + section);
+        if value(left) < value(right) { low = left } else { high = right }
+    }
+    let t = f64::midpoint(low, high);
+    (t, value(t))
 }
 
 /// Exponential of the fast pole over the last step. Most steps have the same length and pole.

@@ -147,9 +147,7 @@ impl From<ExploreError> for Failure {
             ExploreError::Rig(error) => error.into(),
             ExploreError::Run(error) => error.into(),
             ExploreError::LawNotAnnounced { .. } | ExploreError::File(_) => Self::invalid(&error),
-            ExploreError::Generated(_) | ExploreError::Strategy(_) | ExploreError::Cancelled => {
-                Self::new(Exit::Inconclusive, &error)
-            }
+            ExploreError::Generated(_) | ExploreError::Cancelled => Self::new(Exit::Inconclusive, &error),
         }
     }
 }

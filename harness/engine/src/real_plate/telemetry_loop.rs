@@ -137,7 +137,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             // Silence counts only if all messages are read, because they may contain telemetry.
             if received.is_none() && self.last_telemetry.elapsed() > SILENCE_TIMEOUT {
                 // A stopped controller may send nothing more.
-                let silent = RigError::NoAnswer { expected: "telemetry" };
+                let silent = self.session.no_answer("telemetry");
                 return if self.stop_reason.is_some() { Ok(()) } else { Err(silent.into()) };
             }
         }

@@ -238,7 +238,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         }
         let silence = sent.saturating_duration_since(self.last_received);
         if self.controller.missed_replies() >= MAX_MISSED_REPLIES && silence > MIN_SILENT_TIME {
-            return Err(RigError::NoAnswer { expected: "command" }.into());
+            return Err(self.session.no_answer("command").into());
         }
         Ok(())
     }

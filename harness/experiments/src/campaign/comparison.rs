@@ -4,8 +4,8 @@
 //! same scene and the same noise. The difference of such a pair has less scatter than the values
 //! themselves. A mean difference has the interval of Student's t distribution, as the mean of a
 //! [scenario's](platebench_verdict::statistics::mean_bounds) trials. The share of failing trials is
-//! compared by the pairs with different verdicts alone (*Psychometrika* 12, 1947, pp. 153-157), with
-//! the exact interval of Clopper and Pearson.
+//! compared by the shares of the pairs in which only one fails. Each share has the exact interval of
+//! Clopper and Pearson with half of the error (Bonferroni), and the difference has their difference.
 
 use crate::campaign::definition::Campaign;
 use crate::campaign::error::CampaignError;
@@ -88,7 +88,7 @@ pub struct PairedTally {
     pub not_applicable: u64,
     /// Failing share of the controller minus that of the reference; `null` without trials.
     pub failing_share_difference: Option<f64>,
-    /// `null` if no trial has different verdicts.
+    /// `null` without trials.
     pub failing_share_interval: Option<[f64; 2]>,
     pub differences: Vec<PairedDifference>,
 }
@@ -147,18 +147,17 @@ impl Pairs {
 
     fn finish(self, campaign: &Campaign) -> PairedTally {
         let PairedTally { trials, only_controller_fails, only_reference_fails, .. } = self.tally;
-        let different = only_controller_fails + only_reference_fails;
-        let [only_controller, count] = [only_controller_fails, different].map(|count| u32::try_from(count).ok());
-        let bounds = only_controller
-            .zip(count)
-            .filter(|(_, count)| *count > 0)
-            .and_then(|(seen, count)| clopper_pearson(seen, count, campaign.confidence));
+        // Half of the error for each of the two shares, so that both bounds hold together.
+        let confidence = f64::midpoint(campaign.confidence, 1.0);
+        let bounds = |seen: u64| clopper_pearson(u32::try_from(seen).ok()?, u32::try_from(trials).ok()?, confidence);
+        let interval = bounds(only_controller_fails).zip(bounds(only_reference_fails));
         let share = |count: f64| count / trials as f64;
         let expectations = campaign.template.scenario.expectations.iter();
         PairedTally {
             failing_share_difference: (trials > 0)
                 .then(|| share(only_controller_fails as f64 - only_reference_fails as f64)),
-            failing_share_interval: bounds.map(|ends| ends.map(|end| share(different as f64 * (2.0 * end - 1.0)))),
+            failing_share_interval: interval
+                .map(|([low, high], [other_low, other_high])| [low - other_high, high - other_low]),
             differences: expectations
                 .zip(&self.values)
                 .map(|(expectation, pairs)| difference(expectation, pairs, campaign.confidence))
@@ -376,9 +375,11 @@ mod tests {
         let counts = [tally.trials, tally.only_controller_fails, tally.only_reference_fails, tally.both_fail];
         assert_eq!((counts, tally.inconclusive, tally.not_applicable), ([6, 3, 1, 1], 1, 1));
         assert!((tally.failing_share_difference.unwrap() - 2.0 / 6.0).abs() < 1e-12, "{tally:?}");
-        // Clopper-Pearson at 95 % per side for 3 of 4: 0.24860 and 0.98726; times 2, minus 1, times 4/6.
+        // Clopper-Pearson at 97.5 % per side: 0.11812 and 0.88188 for 3 of 6, 0.00421 and 0.64123 for 1 of 6.
         let [low, high] = tally.failing_share_interval.unwrap();
-        assert!((low + 0.335_2).abs() < 1e-3 && (high - 0.649_7).abs() < 1e-3, "{low} {high}");
-        assert_eq!(self::tally([[row(0, 1.0, Fail), row(0, 1.0, Fail)]]).failing_share_interval, None);
+        assert!((low + 0.523_1).abs() < 1e-3 && (high - 0.877_7).abs() < 1e-3, "{low} {high}");
+        let [low, high] = self::tally([[row(0, 1.0, Fail), row(0, 1.0, Fail)]]).failing_share_interval.unwrap();
+        assert!((low + 0.975).abs() < 1e-9 && (high - 0.975).abs() < 1e-9, "{low} {high}");
+        assert_eq!(self::tally([]).failing_share_interval, None);
     }
 }
