@@ -17,6 +17,7 @@ use platebench_report::comparison::{ScenarioComparison, tube_plot};
 use platebench_report::format::exceedance;
 use platebench_verdict::golden::{Baseline, JudgedResponse};
 use std::fs;
+use std::iter;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, Args)]
@@ -230,7 +231,8 @@ impl Candidate<'_> {
 
 /// Each value after a comma.
 fn format_values(response: &JudgedResponse) -> String {
-    response.values.iter().flatten().map(|(name, value)| format!(", {name} {value}")).collect()
+    let values = response.values.iter().flatten().map(|(name, value)| format!("{name} {value}"));
+    iter::once(String::new()).chain(values).collect::<Vec<_>>().join(", ")
 }
 
 fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {

@@ -101,13 +101,12 @@ impl Subject<'_> {
         } else {
             stdio::show_result(*format, &comparisons, &document);
         }
-        let (exit, reason) = match self.nothing_compared(&comparisons) {
-            Some(reason) => (Exit::NothingToRun, reason),
-            None => {
-                let verdicts: Vec<_> = comparisons.iter().map(|one| one.comparison.verdict).collect();
-                let exit = Exit::of_verdict(Verdict::combine(verdicts.iter().copied()));
-                (exit, count_verdicts(&verdicts, ["agree", "differ", "have no reference or no decision"]))
-            }
+        let (exit, reason) = if let Some(reason) = self.nothing_compared(&comparisons) {
+            (Exit::NothingToRun, reason)
+        } else {
+            let verdicts: Vec<_> = comparisons.iter().map(|one| one.comparison.verdict).collect();
+            let exit = Exit::of_verdict(Verdict::combine(verdicts.iter().copied()));
+            (exit, count_verdicts(&verdicts, ["agree", "differ", "have no reference or no decision"]))
         };
         let heading = format!("{} platebench compare: {}", exit.sign(), exit.word());
         let accept = self.accept_command();

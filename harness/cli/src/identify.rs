@@ -161,23 +161,7 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         return Err(Failure::invalid(&"only one of --out -, --page - and --format json can use standard output"));
     }
     let board = arguments.board.find()?;
-    let mut files = Vec::new();
-    for path in &arguments.recordings {
-        collect_tables(path, &mut files)?;
-    }
-    // A second copy adds no evidence.
-    let mut known = HashSet::new();
-    if let Some(path) = files.iter().find(|path| !known.insert(path.canonicalize().unwrap_or_else(|_| (*path).clone())))
-    {
-        let path = quoted_path(path);
-        return Err(Failure::invalid(&format!("{path} is named twice, expected each recording once")));
-    }
-    if files.is_empty() {
-        return Err(Failure::new(
-            Exit::NothingToRun,
-            &"no recording was found; name a run folder, a trace or a CSV file",
-        ));
-    }
+    let files = find_recordings(arguments)?;
     if let Some(path) = arguments.out.as_ref().filter(|path| path.exists() && !stdio::is_stdout(path)) {
         return Err(Failure::invalid(&format!("{} exists already, expected another name", path.display())));
     }
@@ -261,6 +245,28 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
         );
     }
     Ok(exit)
+}
+
+/// The tables of all recordings. Fails if there is none, or one twice.
+fn find_recordings(arguments: &IdentifyArgs) -> Result<Vec<PathBuf>, Failure> {
+    let mut files = Vec::new();
+    for path in &arguments.recordings {
+        collect_tables(path, &mut files)?;
+    }
+    // A second copy adds no evidence.
+    let mut known = HashSet::new();
+    if let Some(path) = files.iter().find(|path| !known.insert(path.canonicalize().unwrap_or_else(|_| (*path).clone())))
+    {
+        let path = quoted_path(path);
+        return Err(Failure::invalid(&format!("{path} is named twice, expected each recording once")));
+    }
+    if files.is_empty() {
+        return Err(Failure::new(
+            Exit::NothingToRun,
+            &"no recording was found; name a run folder, a trace or a CSV file",
+        ));
+    }
+    Ok(files)
 }
 
 fn describe_source(arguments: &IdentifyArgs, recordings: &[Recording], board: Option<&Board>) -> String {

@@ -4,7 +4,6 @@
 use crate::page::workspace_root;
 use rstest::rstest;
 use std::fs;
-use std::path::Path;
 use std::process::{Command, Stdio};
 use tempfile::TempDir;
 use yaml_serde::Value;

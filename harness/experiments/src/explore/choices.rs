@@ -63,7 +63,7 @@ impl Choices {
     }
 
     pub(crate) fn replay(choices: &[Choice]) -> Self {
-        let current = OpenPart { replayed: choices.to_vec().into_iter(), ..OpenPart::default() };
+        let current = OpenPart { replayed: Vec::from(choices).into_iter(), ..OpenPart::default() };
         Self { random: None, index: 0, current, outer: Vec::new() }
     }
 

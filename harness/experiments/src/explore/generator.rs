@@ -258,14 +258,13 @@ impl Generator<'_> {
     /// Draws the judged trial, or an earlier one, which has its own configuration or that of `judged`.
     fn trial(&self, choices: &mut Choices, stratum: &Stratum, judged: Option<&SceneTrial>) -> SceneTrial {
         let has_own = choices.given(judged.is_none().then_some(1), 0..=1) == 1;
-        let mut trial = match judged.filter(|_| !has_own) {
-            Some(judged) => SceneTrial { faults: Vec::new(), ..judged.clone() },
-            None => {
-                choices.begin(Part::Configuration);
-                let configuration = self.configuration(choices, stratum, judged.is_none());
-                choices.end();
-                configuration
-            }
+        let mut trial = if let Some(judged) = judged.filter(|_| !has_own) {
+            SceneTrial { faults: Vec::new(), ..judged.clone() }
+        } else {
+            choices.begin(Part::Configuration);
+            let configuration = self.configuration(choices, stratum, judged.is_none());
+            choices.end();
+            configuration
         };
         let is_overloaded = choices.given(Some(stratum.is_overloaded.into()), 0..=1) == 1;
         let sine = choices.given(Some(stratum.sine), 0..=2);

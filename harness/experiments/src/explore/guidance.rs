@@ -112,6 +112,9 @@ pub(crate) struct Corpus {
     pub(crate) missing: BTreeSet<u32>,
 }
 
+/// What an item reached, its kind, and its choices.
+type Reached = (BTreeSet<Feature>, ItemKind, Option<Vec<Choice>>);
+
 impl Corpus {
     pub(crate) fn new(branch_outcomes: &BTreeSet<u32>) -> Self {
         Self { missing: branch_outcomes.clone(), ..Self::default() }
@@ -119,7 +122,7 @@ impl Corpus {
 
     /// Adds what the items of a round reached, by their number in the exploration. Items without choices
     /// are no parents.
-    pub(crate) fn add_round(&mut self, items: BTreeMap<u64, (BTreeSet<Feature>, ItemKind, Option<Vec<Choice>>)>) {
+    pub(crate) fn add_round(&mut self, items: BTreeMap<u64, Reached>) {
         for (features, kind, choices) in items.into_values() {
             let count = self.reached.len();
             self.reached.extend(features);

@@ -101,8 +101,8 @@ impl SequenceDraw<'_> {
         number(self.choices.pick(all, 0.0))
     }
 
-    fn no_positive_number(&mut self) -> Option<WireNumber> {
-        Some(self.one_number(&[0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY]))
+    fn no_positive_number(&mut self) -> WireNumber {
+        self.one_number(&[0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY])
     }
 
     /// A configuration that the controller must answer with 1.
@@ -111,11 +111,11 @@ impl SequenceDraw<'_> {
         match self.choices.below(11) {
             0 => change.period_us = Some(0),
             1 => change.start_frequency_mhz = Some(0),
-            2 => change.gain_um_per_vpp = self.no_positive_number(),
-            3 => change.time_constant_s = self.no_positive_number(),
-            4 => change.drive_limit_vpp = self.no_positive_number(),
-            5 => change.frequency_range_hz = self.no_positive_number(),
-            6 => change.frequency_slew_hz = self.no_positive_number(),
+            2 => change.gain_um_per_vpp = Some(self.no_positive_number()),
+            3 => change.time_constant_s = Some(self.no_positive_number()),
+            4 => change.drive_limit_vpp = Some(self.no_positive_number()),
+            5 => change.frequency_range_hz = Some(self.no_positive_number()),
+            6 => change.frequency_slew_hz = Some(self.no_positive_number()),
             8 if self.limits.has_loop_delay => {
                 let period = self.choices.pick(&[1_000, 300, 4_000], 1_000);
                 (change.period_us, change.loop_delay_us) = (Some(period), Some(period + 1));

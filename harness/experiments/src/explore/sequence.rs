@@ -142,10 +142,6 @@ impl SequenceLimits {
         };
         matches!(messages.first(), Some(ScenarioMessage::Configure(_))) && messages.iter().all(is_usable)
     }
-
-    fn block(&self, number: i32) -> Block {
-        ALL_BLOCKS.get(number as usize).copied().unwrap_or(Block::Stop)
-    }
 }
 
 /// Kinds of blocks. A sequence prefers one of them.
@@ -173,6 +169,10 @@ const ALL_BLOCKS: [Block; BLOCK_KINDS as usize] = [
     Block::Scaled,
     Block::Stop,
 ];
+
+fn block(number: i32) -> Block {
+    ALL_BLOCKS.get(number as usize).copied().unwrap_or(Block::Stop)
+}
 
 pub(crate) struct SequenceDraw<'a> {
     pub(crate) limits: &'a SequenceLimits,
@@ -248,16 +248,16 @@ impl SequenceDraw<'_> {
 
     fn blocks(&mut self, index: u64) {
         let preferred = self.choices.given(Some((index % BLOCK_KINDS) as i32), BLOCK_NUMBERS);
-        let is_slow = self.limits.own_clock && self.limits.block(preferred) == Block::Watchdog;
+        let is_slow = self.limits.own_clock && block(preferred) == Block::Watchdog;
         let count = if is_slow { WATCHDOG_BLOCKS..=WATCHDOG_BLOCKS } else { BLOCKS };
         self.list(Part::Block, count, |draw, _| {
-            let others = if is_slow { 0 } else { 1 };
+            let others = u32::from(!is_slow);
             let kind = draw.choices.mostly(preferred, [1, others], BLOCK_NUMBERS);
             if draw.messages.len() > ENOUGH_MESSAGES {
                 return;
             }
             // Silences cost wall time, so only the sequences that prefer them have them in wall time.
-            match draw.limits.block(kind) {
+            match block(kind) {
                 Block::Watchdog if draw.limits.own_clock && !is_slow => draw.add(Block::Rejected),
                 block => draw.add(block),
             }

@@ -124,7 +124,9 @@ fn trials(scene: &[Choice]) -> Vec<Choice> {
 fn with_earlier(scene: &[Choice], earlier: &[Choice]) -> Vec<Choice> {
     let mut scene = scene.to_vec();
     let list = scene.iter_mut().find(|choice| matches!(choice, Choice::Part(Part::List, _)));
-    list.into_iter().for_each(|list| *list = Choice::Part(Part::List, earlier.to_vec()));
+    if let Some(list) = list {
+        *list = Choice::Part(Part::List, earlier.to_vec());
+    }
     scene
 }
 
@@ -225,7 +227,9 @@ impl<T, F> Shrinker<'_, T, F> {
         }
         let smaller = self.play(drawn)?;
         let is_smaller = smaller.is_some();
-        smaller.into_iter().for_each(|smaller| *best = smaller);
+        if let Some(smaller) = smaller {
+            *best = smaller;
+        }
         Ok(is_smaller)
     }
 }
