@@ -4,7 +4,7 @@ use crate::page::workspace_root;
 use std::fs;
 use std::path::Path;
 
-const ALLOWED_PROGRAMS: [&str; 18] = [
+const ALLOWED_PROGRAMS: [&str; 19] = [
     "cd",
     "chmod",
     "cp",
@@ -23,6 +23,7 @@ const ALLOWED_PROGRAMS: [&str; 18] = [
     "rustup",
     "test",
     "mdbook",
+    "defmt-print",
 ];
 const PROJECT_FOLDERS: [&str; 6] = ["ci/", "docs/", "firmware-under-test/", "harness/", "scenarios/", "tests/"];
 const CARGO_COMMANDS: [&str; 10] =
