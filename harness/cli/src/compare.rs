@@ -153,13 +153,13 @@ impl Subject<'_> {
             comparisons.iter().find_map(|one| one.comparison.reason.clone()).unwrap_or_default()
         } else if self.options.baselines.is_dir() {
             format!(
-                "{baselines} has no golden trace for {subject}. Name another folder with --baselines, or create golden \
-             traces: `platebench baseline review {subject}`"
+                "{baselines} has no golden trace for {subject}. Name another folder with --baselines, or create \
+                 golden traces: `platebench baseline review {subject}`"
             )
         } else {
             format!(
-                "{baselines} is no folder. Name the folder with --baselines, or create golden traces there: `platebench \
-             baseline review {subject}`"
+                "{baselines} is no folder. Name the folder with --baselines, or create golden traces there: \
+                 `platebench baseline review {subject}`"
             )
         };
         Some(format!("nothing was compared: {hint}"))

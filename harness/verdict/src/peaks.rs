@@ -46,7 +46,8 @@ pub fn missed_between_rows(
 }
 
 /// The rows, and rows at extremes of the signal that exceed all rows with the same setpoint in the
-/// same windows. The largest one is always among them. `None` for a sensed signal, which has no values between the control instants.
+/// same windows. The largest one is always among them. `None` for a sensed signal, which has no
+/// values between the control instants.
 pub fn rows_with_extremes(
     scenario: &Scenario,
     index: u32,

@@ -126,7 +126,11 @@ fn keeps_lines_and_tests_them_together() {
 }
 
 #[rstest]
-#[case::plate(HistoryEntry { plate: "P8".to_owned(), ..entry("2026-05-02", 1.0, "c") }, 1, "the plate is P7, expected P8")]
+#[case::plate(
+    HistoryEntry { plate: "P8".to_owned(), ..entry("2026-05-02", 1.0, "c") },
+    1,
+    "the plate is P7, expected P8"
+)]
 #[case::model(
     HistoryEntry { model: PlateModel::SelfHeating, ..entry("2026-05-02", 1.0, "c") },
     1,

@@ -28,7 +28,8 @@ pub struct ExportResult {
 }
 
 /// Exports the named scenarios (with or without `.toml`) to the folder `out`, by default `export` in
-/// the run folder, or all if `scenarios` is empty. `rows` need not be read again. Checks names, existing files and complete trials before it writes a file.
+/// the run folder, or all if `scenarios` is empty. `rows` need not be read again. Checks names,
+/// existing files and complete trials before it writes a file.
 pub fn export(
     run: &RunRecord,
     folder: &Path,

@@ -96,7 +96,8 @@ impl ResponseChanges {
             format!("{} {} on {}", quoted(&build.firmware), quoted(&build.id), quoted(&build.rig))
         };
         let law = self.law.iter().map(|[before, now]| format!("  law: {before} → {now}"));
-        let builds = self.build.iter().map(move |[before, now]| format!("  build: {} → {}", build(before), build(now)));
+        let builds = self.build.iter();
+        let builds = builds.map(move |[before, now]| format!("  build: {} → {}", build(before), build(now)));
         law.chain(builds).chain(self.values.iter().map(|change| format!("  {change}")))
     }
 }
