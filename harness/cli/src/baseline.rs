@@ -221,7 +221,7 @@ impl Candidate<'_> {
                 let accepted = format!("✓ accepted  {}", scenario.file);
                 std::iter::once(accepted).chain(changes.lines()).chain(worst).collect()
             }
-            None => vec![format!("✓ accepted  {}  (new{})", scenario.file, format_values(&new.response))],
+            None => vec![format!("✓ accepted  {}  ({})", scenario.file, with_values("new", &new.response))],
         };
         new.write(baselines).map_err(CompareError::from)?;
         stdio::show(&(lines.join("\n") + "\n"));
@@ -229,10 +229,10 @@ impl Candidate<'_> {
     }
 }
 
-/// Each value after a comma.
-fn format_values(response: &JudgedResponse) -> String {
+/// A list of `first` and the values.
+fn with_values(first: &str, response: &JudgedResponse) -> String {
     let values = response.values.iter().flatten().map(|(name, value)| format!("{name} {value}"));
-    iter::once(String::new()).chain(values).collect::<Vec<_>>().join(", ")
+    iter::once(first.to_owned()).chain(values).collect::<Vec<_>>().join(", ")
 }
 
 fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {
@@ -257,7 +257,7 @@ fn list_baselines(run: Option<&Path>, baselines: &Path) -> CommandResult {
                 });
                 let learned = learned.unwrap_or_default();
                 let JudgedResponse { law, build, .. } = &baseline.response;
-                format!("✓ {name}: {law}{} ({}){learned}", format_values(&baseline.response), build.firmware)
+                format!("✓ {name}: {} ({}){learned}", with_values(law, &baseline.response), build.firmware)
             }
         };
         stdio::show(&format!("{line}\n"));

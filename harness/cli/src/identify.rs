@@ -182,8 +182,9 @@ pub(crate) fn identify(arguments: &IdentifyArgs) -> CommandResult {
     let entry = entry.transpose()?;
     let history = history.zip(entry.clone()).map(|(history, entry)| history.with(entry)).transpose();
     let extended = history.as_ref().ok().and_then(Option::as_ref);
-    document.blocks.extend(extended.into_iter().flat_map(PlateHistory::blocks));
     let analysis = extended.map(PlateHistory::analysis);
+    let blocks = extended.zip(analysis.as_ref()).map(|(history, analysis)| history.blocks(analysis));
+    document.blocks.extend(blocks.into_iter().flatten());
     let output = IdentifyOutput { found: &found, uncertainties: &uncertainties, history: analysis };
     match arguments.format {
         OutputFormat::Human => stdio::show_beside(to_stdout > 0, &stdio::console_text(&document)),

@@ -275,8 +275,7 @@ impl PlateHistory {
     }
 
     /// The table, and a figure that the console omits.
-    pub fn blocks(&self) -> Vec<Block> {
-        let analysis = self.analysis();
+    pub fn blocks(&self, analysis: &HistoryAnalysis) -> Vec<Block> {
         let dates: Vec<_> = self.entries.iter().map(|entry| entry.date.as_str()).collect();
         let plate = self.entries.last().map_or("", |entry| &entry.plate);
         let [first, last] = [dates.iter().min(), dates.iter().max()].map(|date| date.copied().unwrap_or_default());
@@ -406,7 +405,7 @@ pub fn welch_test(estimates: &[Estimate]) -> Option<DriftTest> {
     }
     let weight = |estimate: &Estimate| estimate.error.powi(-2);
     let sum: f64 = estimates.iter().map(weight).sum();
-    let mean = estimates.iter().map(|each| each.value * weight(each)).sum::<f64>() / sum;
+    let mean = Estimate::combine_independent(estimates)?.value;
     let between = estimates.iter().map(|each| weight(each) * (each.value - mean).powi(2)).sum::<f64>() / (k - 1.0);
     let lambda: f64 = estimates.iter().map(|each| (1.0 - weight(each) / sum).powi(2) / each.freedom).sum();
     let squares = k * k - 1.0;

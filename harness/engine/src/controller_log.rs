@@ -193,11 +193,16 @@ impl<'a> ControllerLog<'a> {
         }
     }
 
+    /// `before_restart` is what the chip reported before a restart that deleted it.
     pub(crate) fn telemetry<L: Link>(
         &self,
         session: &mut Session<FaultInjector<L>>,
         lost: Option<&RigError>,
+        before_restart: Option<Telemetry>,
     ) -> Telemetry {
+        let now = self.chip_telemetry(session);
+        let (transport, baud) = (now.transport, now.baud);
+        let chip = Telemetry { transport, baud, ..before_restart.unwrap_or(now) };
         Telemetry {
             ended: lost.map(ToString::to_string),
             end_cause: lost.map(RigError::cause),
@@ -217,7 +222,7 @@ impl<'a> ControllerLog<'a> {
             protocol_repeats: self.protocol_check.as_ref().map_or(0, |check| check.repeats),
             scripts_not_played: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.not_played.clone()),
             scripts_not_decided: self.protocol_check.as_ref().map_or_else(Vec::new, |check| check.undecided.clone()),
-            ..self.chip_telemetry(session)
+            ..chip
         }
     }
 }

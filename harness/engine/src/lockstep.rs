@@ -482,15 +482,8 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
             not_finite: self.plant.not_finite(),
             watchdog_timeout_ms: self.trial.own_clock.then_some(self.watchdog.timeout_ms),
             enable_pin,
-            ..self.controller.telemetry(self.session, self.link_error.as_ref())
+            ..self.controller.telemetry(self.session, self.link_error.as_ref(), before_restart)
         };
-        if let Some(chip) = before_restart {
-            telemetry.firmware_output = chip.firmware_output;
-            telemetry.firmware_output_reads = chip.firmware_output_reads;
-            (telemetry.defmt_bytes, telemetry.defmt_frames) = (chip.defmt_bytes, chip.defmt_frames);
-            telemetry.unmodelled_instances = chip.unmodelled_instances;
-            telemetry.unused_fpu = chip.unused_fpu;
-        }
         if let Some(error) = &self.chip.stop {
             telemetry.stopped.get_or_insert(error.to_string());
         }

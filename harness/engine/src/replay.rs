@@ -146,7 +146,7 @@ impl Player<'_> {
             self.controller.observe_safe_state(&mut self.session, now);
         }
         self.controller.record_session(&self.session, now);
-        let mut telemetry = self.controller.telemetry(&mut self.session, lost);
+        let mut telemetry = self.controller.telemetry(&mut self.session, lost, None);
         let end = self.session.close();
         if let SafeEnd::Driven(drives) = end {
             telemetry.violations.push(drive_violation(drives, now));

@@ -323,11 +323,10 @@ impl Motion {
         self.slow_rest + self.fast_rest + amplitude * (pole * seconds).exp()
     }
 
-    /// Bound of `sign` times the signal in `seconds`: that of the chord of the slow part, its
-    /// distance from the chord, `t²|W''|/8`, and the fast part.
-    fn bound(&self, signal: BandSignal, sign: f64, seconds: f64) -> f64 {
+    /// Bound of `sign` times the signal in `seconds`: that of the chord of the slow part with these
+    /// ends, its distance from the chord, `t²|W''|/8`, and the fast part.
+    fn bound(&self, signal: BandSignal, sign: f64, seconds: f64, [start, end]: [Complex64; 2]) -> f64 {
         let [amplitude, pole] = self.slow;
-        let [start, end] = [0.0, seconds].map(|t| self.slow_after(t));
         let at_ends = (sign * value_of(signal, start)).max(sign * value_of(signal, end));
         let chord = match signal {
             BandSignal::Amplitude if sign < 0.0 => -distance_from_zero(start, end),
@@ -345,10 +344,11 @@ impl Motion {
         range: &mut SetpointRange,
         rows: &mut Vec<Row>,
     ) {
+        let slow_ends = [0.0, seconds].map(|t| self.slow_after(t));
         let mut found = Vec::new();
         for sign in [1.0, -1.0] {
             let limit = range.limit(sign);
-            if self.bound(signal, sign, seconds) <= limit {
+            if self.bound(signal, sign, seconds, slow_ends) <= limit {
                 continue;
             }
             let (t, largest) = largest_at(|t| sign * value_of(signal, self.after(t)), seconds, self.fastest(seconds));

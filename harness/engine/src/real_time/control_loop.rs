@@ -357,7 +357,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
             rig_delay_us: timing.loop_delay_us.map(|_| self.timing.longest_rig_delay.as_secs_f64() * 1e6),
             timing: Some(Box::new(timing)),
-            ..self.controller.telemetry(self.session, lost.as_ref())
+            ..self.controller.telemetry(self.session, lost.as_ref(), None)
         };
         Some((telemetry, lost))
     }
