@@ -13,6 +13,15 @@ use platebench_verdict::tube::{Exceedance, TubeSignal};
 /// Longest list of names in [`tested`].
 const MAX_NAMES: usize = 3;
 
+/// Key to sort scenarios: failed ones first.
+pub(crate) const fn display_order(verdict: Verdict) -> u8 {
+    match verdict {
+        Verdict::Fail => 0,
+        Verdict::Inconclusive => 1,
+        Verdict::Pass => 2,
+    }
+}
+
 /// One line: firmware, rig, clock, laws, plates and models of the run. Text from outside is quoted.
 pub(crate) fn tested(record: &RunRecord) -> String {
     let firmware: Vec<_> = record

@@ -7,7 +7,7 @@ use crate::explore::exploration::explore_and_record;
 use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, Regression, explore};
 use crate::explore::limits::{ExploredLaw, LawProperties, OwnLaw};
 use crate::explore::own_law::measure_own_law;
-use crate::explore::player::{ExploreError, Player, SceneFailure};
+use crate::explore::player::{ExploreError, Player};
 use crate::explore::properties::Property;
 use crate::explore::report;
 use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
@@ -292,14 +292,7 @@ impl ExploreSession {
     ) -> (Option<ViolationReport>, Option<ExploreError>) {
         let mut player = Player::new(connect, config.own_clock, cancel, ends);
         let shrunk = time.map(|time| shrink_scene(config, &mut player, failed, property, time));
-        let original = || MinimalScene {
-            scene: failed.scene.clone(),
-            demands: config.demands(&failed.scene),
-            failure: failed.failure_of(property).cloned().unwrap_or_else(|| SceneFailure::unknown(property)),
-            is_reproduced: false,
-            replays: 0,
-        };
-        let (minimal, error) = or_original(shrunk, original);
+        let (minimal, error) = or_original(shrunk, || MinimalScene::original(config, failed, property));
         let stored = self.write_scene(config, failed, property, &minimal);
         reproduce(stored, error, time.is_some(), &mut player)
     }

@@ -25,6 +25,19 @@ pub struct MinimalScene {
     pub replays: u32,
 }
 
+impl MinimalScene {
+    /// The scene that failed, if it was not played again or did not fail again.
+    pub(crate) fn original(config: &ExploreConfig, failed: &FailedScene, property: Property) -> Self {
+        Self {
+            scene: failed.scene.clone(),
+            demands: config.demands(&failed.scene),
+            failure: failed.failure_of(property).cloned().unwrap_or_else(|| SceneFailure::unknown(property)),
+            is_reproduced: false,
+            replays: 0,
+        }
+    }
+}
+
 /// Searches the smallest scene that violates the property, for at most `time`. Each candidate is played
 /// with a new controller.
 pub fn shrink_scene(
@@ -59,9 +72,7 @@ pub fn shrink_scene(
         }
     }
     let Some(mut best) = best else {
-        let failure = failed.failure_of(property).cloned().unwrap_or_else(|| SceneFailure::unknown(property));
-        let (scene, demands) = (failed.scene.clone(), config.demands(&failed.scene));
-        return Ok(MinimalScene { scene, demands, failure, is_reproduced: false, replays: shrinker.replays });
+        return Ok(MinimalScene { replays: shrinker.replays, ..MinimalScene::original(config, failed, property) });
     };
     shrinker.shrink(&mut best)?;
     let Smallest { drawn: Drawn { item: scene, .. }, failure } = best;

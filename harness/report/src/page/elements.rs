@@ -1,7 +1,8 @@
 //! Writes the small parts of pages: links and anchors.
 
+use crate::format::display_order;
 use maud::{Markup, html};
-use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord, Verdict};
+use platebench_model::record::{RunRecord, ScenarioRecord, TrialRecord};
 use std::fmt::Write as _;
 
 /// Anchor in `report.html` of the scenario with this index in the record.
@@ -11,11 +12,7 @@ pub fn scenario_anchor(index: usize) -> String {
 
 pub(super) fn sorted_by_verdict(record: &RunRecord) -> Vec<(usize, &ScenarioRecord)> {
     let mut scenarios: Vec<_> = record.scenarios.iter().enumerate().collect();
-    scenarios.sort_by_key(|(_, scenario)| match scenario.verdict {
-        Verdict::Fail => 0,
-        Verdict::Inconclusive => 1,
-        Verdict::Pass => 2,
-    });
+    scenarios.sort_by_key(|(_, scenario)| display_order(scenario.verdict));
     scenarios
 }
 

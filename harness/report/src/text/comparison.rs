@@ -151,11 +151,7 @@ pub fn comparison_document(comparisons: &[ScenarioComparison]) -> Document {
 /// Changed scenarios, failed ones first.
 pub(crate) fn changed_scenarios(comparisons: &[ScenarioComparison]) -> Vec<&ScenarioComparison> {
     let mut changed: Vec<_> = comparisons.iter().filter(|one| one.is_changed()).collect();
-    changed.sort_by_key(|one| match one.comparison.verdict {
-        Verdict::Fail => 0,
-        Verdict::Inconclusive => 1,
-        Verdict::Pass => 2,
-    });
+    changed.sort_by_key(|one| format::display_order(one.comparison.verdict));
     changed
 }
 
