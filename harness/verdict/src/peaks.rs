@@ -244,7 +244,11 @@ fn setpoint_ranges<'a>(
         let inside = rows.get(first..)?.iter().take_while(belongs);
         let empty = SetpointRange { first, last: first, lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
         let range = inside.enumerate().fold(empty, |range, (place, row)| {
-            let value = value_of(signal, Complex64::new(row.wd_um, row.wq_um));
+            let value = match signal {
+                BandSignal::Amplitude => row.amplitude_um,
+                BandSignal::InPhase => row.wd_um,
+                BandSignal::Quadrature => row.wq_um,
+            };
             let (lowest, highest) = (range.lowest.min(value), range.highest.max(value));
             SetpointRange { last: first + place, lowest, highest, ..range }
         });
@@ -323,16 +327,18 @@ impl Motion {
         self.slow_rest + self.fast_rest + amplitude * (pole * seconds).exp()
     }
 
-    /// Bound of `sign` times the signal in `seconds`: that of the chord of the slow part with these
-    /// ends, its distance from the chord, `t²|W''|/8`, and the fast part.
-    fn bound(&self, signal: BandSignal, sign: f64, seconds: f64, [start, end]: [Complex64; 2]) -> f64 {
+    /// Bounds of the signal in `seconds`, and of its negative: those of the chord of the slow part,
+    /// the distance of the slow part from it, `t²|W''|/8`, and the fast part.
+    fn bounds(&self, signal: BandSignal, seconds: f64) -> [f64; 2] {
         let [amplitude, pole] = self.slow;
-        let at_ends = (sign * value_of(signal, start)).max(sign * value_of(signal, end));
-        let chord = match signal {
-            BandSignal::Amplitude if sign < 0.0 => -distance_from_zero(start, end),
-            _ => at_ends,
+        let [start, end] = [0.0, seconds].map(|t| self.slow_after(t));
+        let ends = [start, end].map(|w| value_of(signal, w));
+        let lowest = match signal {
+            BandSignal::Amplitude => distance_from_zero(start, end),
+            _ => ends[0].min(ends[1]),
         };
-        chord + (seconds * pole.norm()).powi(2) / 8.0 * amplitude.norm() + self.fast[0].norm()
+        let reach = (seconds * pole.norm()).powi(2) / 8.0 * amplitude.norm() + self.fast[0].norm();
+        [ends[0].max(ends[1]) + reach, reach - lowest]
     }
 
     /// Adds rows at the extremes between `row` and the next one, `seconds` later.
@@ -344,11 +350,10 @@ impl Motion {
         range: &mut SetpointRange,
         rows: &mut Vec<Row>,
     ) {
-        let slow_ends = [0.0, seconds].map(|t| self.slow_after(t));
         let mut found = Vec::new();
-        for sign in [1.0, -1.0] {
+        for (sign, bound) in [1.0, -1.0].into_iter().zip(self.bounds(signal, seconds)) {
             let limit = range.limit(sign);
-            if self.bound(signal, sign, seconds, slow_ends) <= limit {
+            if bound <= limit {
                 continue;
             }
             let (t, largest) = largest_at(|t| sign * value_of(signal, self.after(t)), seconds, self.fastest(seconds));
