@@ -7,7 +7,7 @@
 pub(crate) use platebench_model::scenario::SETTINGS_FILE as FILE;
 
 use clap::Command;
-use platebench_model::scenario::{Diagnostic, MAX_TRIALS, find_trusted_file_above, parse_file};
+use platebench_model::scenario::{Diagnostic, FileChecker, MAX_TRIALS, find_trusted_file_above};
 use schemars::JsonSchema;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -127,22 +127,21 @@ impl Config {
 
     /// Reads the file. The command line `definition` checks the values. Fails with all problems.
     pub(crate) fn read(path: &Path, definition: &Command) -> Result<Self, Vec<Diagnostic>> {
-        let (text, _) = parse_file::<RawConfig>(path)?;
-        let document: toml::Table = text.parse().unwrap_or_default();
-        let folder = path.parent().unwrap_or(Path::new(""));
-        let mut problems = Vec::new();
+        let (mut checker, _) = FileChecker::read::<RawConfig>(path)?;
+        let document: toml::Table = checker.text().parse().unwrap_or_default();
         let mut values = Vec::new();
         for setting in &SETTINGS {
             let Some(written) = value_at(&document, setting.key) else { continue };
             for given in &written {
                 if let Err(message) = setting.check(given, definition) {
-                    problems.push(Diagnostic::at_key(path, &text, setting.key, message));
+                    checker.report(setting.key, message);
                 }
             }
-            let placed = |text: String| if setting.is_path { folder.join(text).display().to_string() } else { text };
+            let place = |text: String| checker.neighbour(text.as_ref()).display().to_string();
+            let placed = |text: String| if setting.is_path { place(text) } else { text };
             values.push((setting.key, written.into_iter().map(placed).collect()));
         }
-        if problems.is_empty() { Ok(Self { path: Some(path.to_owned()), values }) } else { Err(problems) }
+        checker.finish().map(|_| Self { path: Some(path.to_owned()), values })
     }
 
     fn value(&self, key: &str) -> Option<&[String]> {

@@ -55,6 +55,7 @@ pub mod scenario {
     pub mod diagnostic;
     pub mod expect;
     pub mod fault;
+    mod file_checker;
     pub mod find;
     pub mod load;
     mod matrix;
@@ -75,12 +76,13 @@ pub mod scenario {
     pub use diagnostic::{Diagnostic, suggestion};
     pub use expect::{Aggregation, Expectation, Limit};
     pub use fault::{BitFlipTarget, ChipFault, ChipFaultKind, Direction, Fault, FaultKind};
+    pub use file_checker::FileChecker;
     pub use find::{FileKind, FoundScenarios, SETTINGS_FILE, find, list_files, repeated_names};
     pub use load::{REQUIREMENTS_FILE, Requirement, load, load_copies, load_with_all_errors, read_requirements};
     pub use matrix::is_scenario_path;
     pub use message::{ConfigurationChange, NonFinite, ScenarioMessage, WireNumber};
     pub use own_law::{NotApplicableExpectation, OWN_LAW, number_in_file};
-    pub use parse::{parse, parse_bytes, parse_file, read_text};
+    pub use parse::{parse, parse_bytes, read_text};
     pub use platebench_plate::{Time, input};
     pub use trusted_file::{TRUSTED_FOLDERS_VARIABLE, find_trusted_file_above};
     pub use warnings::{plate_warnings, scenario_warnings};

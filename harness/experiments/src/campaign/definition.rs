@@ -5,7 +5,7 @@ use crate::campaign::distribution::Variable;
 use crate::campaign::distribution::{Correlation, RawCorrelation, SEARCH_DEVIATIONS};
 use crate::campaign::truncation::{Truncation, corners, truncate_to_accepted};
 use platebench_model::scenario::load::{PLATE_PREFIX, ScenarioTables, ScenarioTemplate, load_template};
-use platebench_model::scenario::{Diagnostic, Metric, Scenario, is_scenario_path, parse_file};
+use platebench_model::scenario::{Diagnostic, FileChecker, Metric, Scenario, is_scenario_path};
 use platebench_rig::{Capability, RigSpec};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -140,9 +140,8 @@ pub struct Campaign {
     pub template: ScenarioTemplate,
 }
 
-struct Checker<'a> {
-    path: &'a Path,
-    text: &'a str,
+struct CampaignChecker {
+    file: FileChecker,
     /// Places of the varied keys. [`Diagnostic::at_key`] cannot find them, because they contain dots.
     spans: BTreeMap<String, Range<usize>>,
 }
@@ -150,38 +149,33 @@ struct Checker<'a> {
 impl Campaign {
     /// Reports all wrong keys at once, or all numbers outside their bounds, or all other wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let (text, raw) = parse_file::<RawCampaign>(path)?;
-        let checker = Checker { path, text: &text, spans: spans_of_variables(&text) };
-        let mut problems = checker.plain_problems(&raw);
-        let scenario_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.scenario);
-        let name = scenario_path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let template = if is_scenario_path(&scenario_path) {
-            load_template(&scenario_path, &name, prepare).map_err(|found| problems.extend(found)).ok()
-        } else {
-            let message = format!("{}: no such file, expected a scenario file", scenario_path.display());
-            problems.push(checker.problem("scenario", message));
-            None
-        };
-        let mut variables = checker.variables(raw.vary, &mut problems);
+        let (file, raw) = FileChecker::read::<RawCampaign>(path)?;
+        let mut checker = CampaignChecker { spans: spans_of_variables(file.text()), file };
+        checker.file.require_one_line("title", &raw.title);
+        let template = checker.template(&raw.scenario);
+        let mut variables = checker.variables(raw.vary);
         if let Some(template) = &template {
-            problems.extend(checker.scenario_problem(&template.scenario));
-            for variable in &variables {
-                problems.extend(checker.value_problem(template, variable));
-            }
+            let problems = variables.iter().filter_map(|variable| checker.value_problem(template, variable));
+            let problems: Vec<_> = checker.scenario_problem(&template.scenario).into_iter().chain(problems).collect();
+            checker.file.extend(problems);
         }
         if raw.plan.method == Method::Rare {
-            problems.extend(checker.rare_problem(&variables));
+            let problem = checker.rare_problem(&variables);
+            checker.file.extend(problem);
         }
         let keys: Vec<_> =
             variables.iter().map(|variable| (&*variable.key, variable.distribution.is_normal())).collect();
-        let correlation = Correlation::new(&raw.correlate, &keys)
-            .map_err(|message| problems.push(checker.problem("correlate", message)));
-        let confirm = checker.confirming_rig(&raw.plan).map_err(|problem| problems.push(problem));
-        let counts = checker.counts(&raw.plan, &variables).map_err(|problem| problems.push(problem));
-        let (Some(template), Ok([trials, cells]), Ok(correlation), Ok(confirm), true) =
-            (template, counts, correlation, confirm, problems.is_empty())
+        let correlation = Correlation::new(&raw.correlate, &keys);
+        let correlation = correlation.map_err(|message| [checker.file.problem("correlate", message)]);
+        let correlation = checker.file.accept(correlation);
+        let confirm = checker.confirming_rig(&raw.plan).map_err(|problem| [problem]);
+        let confirm = checker.file.accept(confirm);
+        let counts = checker.counts(&raw.plan, &variables).map_err(|problem| [problem]);
+        let counts = checker.file.accept(counts);
+        let (Some(template), Some([trials, cells]), Some(correlation), Some(confirm), false) =
+            (template, counts, correlation, confirm, checker.file.has_problems())
         else {
-            return Err(problems);
+            return Err(checker.file.finish().err().unwrap_or_default());
         };
         let is_judged = raw.judge.is_some()
             || template.scenario.expectations.iter().any(|expectation| expectation.requirement.is_some());
@@ -205,7 +199,7 @@ impl Campaign {
             is_map: raw.plan.method == Method::Grid && !is_judged,
             correlation,
             template,
-            text,
+            text: checker.file.finish()?,
         })
     }
 
@@ -261,34 +255,30 @@ fn prepare(scenario: &mut Table) {
     }
 }
 
-impl Checker<'_> {
-    fn problem(&self, key: &str, message: impl Into<String>) -> Diagnostic {
-        Diagnostic::at_key(self.path, self.text, key, message)
-    }
-
+impl CampaignChecker {
     fn vary_problem(&self, key: &str, message: impl Into<String>) -> Diagnostic {
-        Diagnostic::at_span(self.path, self.text, self.span_of_variable(key), format!("`{key}`: {}", message.into()))
+        let (path, text, span) = (self.file.path(), self.file.text(), self.span_of_variable(key));
+        Diagnostic::at_span(path, text, span, format!("`{key}`: {}", message.into()))
     }
 
     fn span_of_variable(&self, key: &str) -> Range<usize> {
         self.spans.get(key).cloned().unwrap_or_default()
     }
 
-    fn plain_problems(&self, raw: &RawCampaign) -> Vec<Diagnostic> {
-        let mut problems = Vec::new();
-        if raw.title.trim().is_empty() || raw.title.contains(char::is_control) {
-            problems.push(self.problem("title", format!("{:?}, expected one line of text", raw.title)));
+    fn template(&mut self, scenario: &Path) -> Option<ScenarioTemplate> {
+        let path = self.file.neighbour(scenario);
+        if !is_scenario_path(&path) {
+            self.file.report("scenario", format!("{}: no such file, expected a scenario file", path.display()));
+            return None;
         }
-        problems
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        self.file.accept(load_template(&path, &name, prepare))
     }
 
-    fn variables(&self, raw: BTreeMap<String, RawDistribution>, problems: &mut Vec<Diagnostic>) -> Vec<Variable> {
-        if raw.is_empty() {
-            problems.push(self.problem("vary", "no varied value, expected at least one"));
-        }
+    fn variables(&mut self, raw: BTreeMap<String, RawDistribution>) -> Vec<Variable> {
+        self.file.require(!raw.is_empty(), "vary", || "no varied value, expected at least one".to_owned());
         if raw.len() > MAX_VARIED {
-            let message = format!("{} varied values, expected at most {MAX_VARIED}", raw.len());
-            problems.push(self.problem("vary", message));
+            self.file.report("vary", format!("{} varied values, expected at most {MAX_VARIED}", raw.len()));
             return Vec::new();
         }
         let mut raw: Vec<_> = raw.into_iter().collect();
@@ -299,12 +289,12 @@ impl Checker<'_> {
             if FIXED_KEYS.contains(&first) && !key.starts_with(PLATE_PREFIX) {
                 let message = "cannot be varied; expected a key of the scenario's scene, controller or limits, \
                                or a key of the plate file after `plate.`";
-                problems.push(self.vary_problem(&key, message));
+                self.file.extend([self.vary_problem(&key, message)]);
                 continue;
             }
             match distribution.check() {
                 Ok(distribution) => variables.push(Variable { key, distribution }),
-                Err(message) => problems.push(self.vary_problem(&key, message)),
+                Err(message) => self.file.extend([self.vary_problem(&key, message)]),
             }
         }
         variables
@@ -314,17 +304,16 @@ impl Checker<'_> {
         let Some(text) = &plan.confirm else { return Ok(None) };
         match text.parse::<RigSpec>() {
             Ok(rig) if rig.has(Capability::EmulatedChip) => {
-                let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
-                let elf = rig.image().map(|elf| folder.join(elf));
+                let elf = rig.image().map(|elf| self.file.neighbour(elf));
                 match elf.as_ref().filter(|elf| !elf.is_file()) {
                     Some(missing) => {
                         let message = format!("{}: no such file, expected an ELF", missing.display());
-                        Err(self.problem("plan.confirm", message))
+                        Err(self.file.problem("plan.confirm", message))
                     }
                     None => Ok(Some(RigSpec::emulated(elf))),
                 }
             }
-            _ => Err(self.problem("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),
+            _ => Err(self.file.problem("plan.confirm", format!("`{text}`, expected emulated or emulated:ELF"))),
         }
     }
 
@@ -344,7 +333,7 @@ impl Checker<'_> {
         over_trials.then(|| {
             let message = "the scenario has [[between]] or a metric that compares trials; a campaign judges each trial \
                            alone, expected another scenario";
-            self.problem("scenario", message)
+            self.file.problem("scenario", message)
         })
     }
 
@@ -417,7 +406,7 @@ impl Checker<'_> {
                     .map(|(variable, value)| format!("{} = {}", variable.key, variable.distribution.text(*value)));
                 let texts = texts.collect::<Vec<_>>().join(", ");
                 let message = format!("the scenario refuses the combination {texts}: {why}; expected smaller ranges");
-                return Err(self.problem("vary", message));
+                return Err(self.file.problem("vary", message));
             }
         }
         Ok(truncated)
@@ -428,18 +417,18 @@ impl Checker<'_> {
         let lists = variables.iter().filter_map(|variable| variable.distribution.choices());
         let cells = lists.clone().try_fold(1_u64, |cells, list| cells.checked_mul(list.len() as u64));
         let cells = cells.filter(|cells| *cells <= MAX_CELLS).ok_or_else(|| {
-            self.problem("vary", format!("more than {MAX_CELLS} combinations of listed values, expected fewer"))
+            self.file.problem("vary", format!("more than {MAX_CELLS} combinations of listed values, expected fewer"))
         })?;
         let has_lists = lists.count() > 0;
         if plan.method == Method::Grid && !has_lists {
             let message = "a grid without `steps` or `each`, expected at least one of them, or method `random`";
-            return Err(self.problem("plan.method", message));
+            return Err(self.file.problem("plan.method", message));
         }
         // A search selects its trials, so their share of failures says nothing about a cell.
         let cells = if has_lists && plan.method != Method::Search { cells } else { 0 };
         let trials = plan.trials.unsigned_abs().checked_mul(if plan.method == Method::Grid { cells } else { 1 });
         let trials = trials.filter(|trials| *trials <= MAX_TRIALS).ok_or_else(|| {
-            self.problem("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
+            self.file.problem("plan.trials", format!("{}, expected 1 to {MAX_TRIALS} trials in all", plan.trials))
         })?;
         Ok([trials, cells])
     }

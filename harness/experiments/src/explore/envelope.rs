@@ -1,6 +1,6 @@
 //! Reads the operating envelope.
 
-use platebench_model::scenario::{Diagnostic, load, parse_file};
+use platebench_model::scenario::{Diagnostic, FileChecker, load};
 use platebench_model::trace::OutputFolder;
 use platebench_plate::Plate;
 use schemars::JsonSchema;
@@ -143,45 +143,34 @@ impl Envelope {
 
     /// Reports all wrong keys at once, or all numbers outside their bounds, or all other wrong values.
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let (text, raw) = parse_file::<RawEnvelope>(path)?;
-        let mut faults = raw.faults(path, &text);
-        let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&raw.plate);
-        let plate = load::load_plate(&plate_path).map_err(|found| faults.extend(found)).ok();
-        let effects = plate.as_ref().map(|plate| load::require_no_effects(&plate_path, plate, "explore"));
-        faults.extend(effects.and_then(Result::err));
-        match plate {
-            Some(plate) if faults.is_empty() => {
-                let mut digest = Sha256::new_with_prefix(&text);
-                digest.update(format!("{plate:?}"));
-                let (title, range, count) = (raw.title, raw.range, raw.count);
-                Ok(Self { path: path.to_owned(), title, plate, range, count, digest: digest.finalize().into() })
-            }
-            _ => Err(faults),
+        let (mut checker, raw) = FileChecker::read::<RawEnvelope>(path)?;
+        raw.check(&mut checker);
+        let plate_path = checker.neighbour(&raw.plate);
+        let plate = checker.accept(load::load_plate(&plate_path));
+        if let Some(plate) = &plate {
+            checker.accept(load::require_no_effects(&plate_path, plate, "explore").map_err(|problem| [problem]));
         }
+        let mut digest = Sha256::new_with_prefix(checker.finish()?);
+        let Some(plate) = plate else { return Err(Vec::new()) };
+        digest.update(format!("{plate:?}"));
+        let (title, range, count) = (raw.title, raw.range, raw.count);
+        Ok(Self { path: path.to_owned(), title, plate, range, count, digest: digest.finalize().into() })
     }
 }
 
 impl RawEnvelope {
-    fn faults(&self, path: &Path, text: &str) -> Vec<Diagnostic> {
-        let mut faults = Vec::new();
-        let mut require = |holds: bool, key: String, message: &dyn Fn() -> String| {
-            if !holds {
-                faults.push(Diagnostic::at_key(path, text, &key, message()));
-            }
-        };
-        let one_line = !self.title.trim().is_empty() && !self.title.contains(char::is_control);
-        require(one_line, "title".to_owned(), &|| format!("{:?}, expected one line of text", self.title));
+    fn check(&self, checker: &mut FileChecker) {
+        checker.require_one_line("title", &self.title);
         for (table, ranges) in
             [("range", toml::Value::try_from(self.range)), ("count", toml::Value::try_from(self.count))]
         {
             for (key, ends) in ranges.iter().filter_map(toml::Value::as_table).flatten() {
                 let ends: Vec<f64> = ends.as_array().into_iter().flatten().filter_map(number).collect();
-                require(ends.is_sorted(), format!("{table}.{key}"), &|| {
+                checker.require(ends.is_sorted(), &format!("{table}.{key}"), || {
                     format!("{ends:?}, expected [low, high] with low not above high")
                 });
             }
         }
-        faults
     }
 }
 

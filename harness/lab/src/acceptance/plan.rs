@@ -2,7 +2,7 @@
 
 use crate::acceptance::judge::PlanDecision;
 use platebench_model::scenario::{
-    Diagnostic, Limit, MAX_TRIALS, Requirement, Scenario, find, parse_bytes, parse_file, schema,
+    Diagnostic, FileChecker, Limit, MAX_TRIALS, Requirement, Scenario, find, parse_bytes, schema,
 };
 use platebench_verdict::uncertainty::{Budget, DecisionRule, known_quantities};
 use schemars::{JsonSchema, Schema};
@@ -154,47 +154,36 @@ pub struct AcceptancePlan {
 
 impl AcceptancePlan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let (text, raw) = parse_file::<RawPlan>(path)?;
-        let mut checker = PlanChecker { path, text: &text, problems: Vec::new() };
-        checker.check(&raw);
-        let mut problems = checker.problems;
-        let folder = path.parent().unwrap_or(Path::new(""));
+        let (mut checker, raw) = FileChecker::read::<RawPlan>(path)?;
+        raw.check(&mut checker);
         let mut scenarios: Vec<PlannedScenario> = Vec::new();
         for (number, planned) in raw.scenario.iter().enumerate() {
-            let at = |message: String| Diagnostic::at_key(path, &text, &format!("scenario.{number}.file"), message);
-            let file = folder.join(&planned.file);
+            let key = format!("scenario.{number}.file");
+            let file = checker.neighbour(&planned.file);
             if file.is_dir() {
-                problems.push(at(format!("{} is a folder, expected a scenario file", file.display())));
+                checker.report(&key, format!("{} is a folder, expected a scenario file", file.display()));
                 continue;
             }
-            match find(&[file]) {
-                Ok(found) => {
-                    let repetitions = planned.repetitions.unwrap_or(raw.repetitions);
-                    for scenario in found.scenarios {
-                        if scenarios.iter().any(|other| other.scenario.name() == scenario.name()) {
-                            problems.push(at(format!("`{}` is in the plan twice", scenario.file)));
-                        }
-                        problems.extend(unknown_requirements(&scenario, &raw.requirement));
-                        scenarios.push(PlannedScenario { scenario, repetitions });
-                    }
+            let repetitions = planned.repetitions.unwrap_or(raw.repetitions);
+            for scenario in checker.accept(find(&[file])).into_iter().flat_map(|found| found.scenarios) {
+                if scenarios.iter().any(|other| other.scenario.name() == scenario.name()) {
+                    checker.report(&key, format!("`{}` is in the plan twice", scenario.file));
                 }
-                Err(found) => problems.extend(found),
+                checker.extend(unknown_requirements(&scenario, &raw.requirement));
+                scenarios.push(PlannedScenario { scenario, repetitions });
             }
         }
-        let budget = raw.decision.as_ref().map(|raw| Budget::load(&folder.join(&raw.budget), &known_quantities()));
-        let budget = budget.transpose().unwrap_or_else(|found| {
-            problems.extend(found);
-            None
-        });
-        let decision = raw.decision.as_ref().zip(budget).map(|(raw, budget)| raw.with_budget(budget));
+        let mut decision = None;
+        if let Some(raw) = &raw.decision {
+            let budget = Budget::load(&checker.neighbour(&raw.budget), &known_quantities());
+            decision = checker.accept(budget).map(|budget| raw.with_budget(budget));
+        }
         if let Some(decision) = &decision {
-            problems.extend(decision_diagnostics(path, &text, decision, &scenarios));
+            check_decidable(&mut checker, decision, &scenarios);
         }
-        if !problems.is_empty() {
-            return Err(problems);
-        }
+        let bytes = checker.finish()?.into_bytes();
         let RawPlan { title, requirement, ask, bench, .. } = raw;
-        Ok(Self { bytes: text.into_bytes(), title, requirements: requirement, scenarios, asks: ask, bench, decision })
+        Ok(Self { bytes, title, requirements: requirement, scenarios, asks: ask, bench, decision })
     }
 }
 
@@ -217,17 +206,11 @@ pub(crate) fn read_recorded_plan(
     Ok((raw.requirement, decision))
 }
 
-/// Returns problems of scenarios that the decision rule cannot judge. Except with rule `simple`, each
+/// Reports scenarios that the decision rule cannot judge. Except with rule `simple`, each
 /// expectation of a requirement needs a budget and must not be `about`.
-fn decision_diagnostics(
-    path: &Path,
-    text: &str,
-    decision: &PlanDecision,
-    scenarios: &[PlannedScenario],
-) -> Vec<Diagnostic> {
-    let mut problems: Vec<Diagnostic> = Vec::new();
+fn check_decidable(checker: &mut FileChecker, decision: &PlanDecision, scenarios: &[PlannedScenario]) {
     if decision.rule == DecisionRule::Simple {
-        return problems;
+        return;
     }
     for PlannedScenario { scenario, .. } in scenarios {
         for (number, expectation) in scenario.expectations.iter().enumerate() {
@@ -236,85 +219,57 @@ fn decision_diagnostics(
             }
             if matches!(expectation.limit, Limit::About(_)) {
                 let message = format!("the rule {} needs a limit, expected `within` instead of `about`", decision.rule);
-                problems.push(scenario.diagnostic(&format!("expect.{number}.about"), message));
+                checker.extend([scenario.diagnostic(&format!("expect.{number}.about"), message)]);
             }
             let metric = expectation.metric;
-            if decision.budget.quantity(metric.name()).is_none() {
-                let message = format!(
-                    "the rule {} needs a [[budget]] for {metric}, which {} expects",
-                    decision.rule, scenario.file
-                );
-                problems.push(Diagnostic::at_key(path, text, "decision.budget", message));
-            }
+            checker.require(decision.budget.quantity(metric.name()).is_some(), "decision.budget", || {
+                format!("the rule {} needs a [[budget]] for {metric}, which {} expects", decision.rule, scenario.file)
+            });
         }
     }
-    problems
 }
 
 pub fn plan_schema() -> Schema {
     schema::schema_of::<RawPlan>("platebench acceptance plan")
 }
 
-struct PlanChecker<'a> {
-    path: &'a Path,
-    text: &'a str,
-    problems: Vec<Diagnostic>,
+impl RawPlan {
+    fn check(&self, checker: &mut FileChecker) {
+        checker.require_one_line("title", &self.title);
+        checker.require(!self.requirement.is_empty(), "requirement", || {
+            "no [[requirement]], expected at least one".to_owned()
+        });
+        checker.require(!self.scenario.is_empty(), "scenario", || "no [[scenario]], expected at least one".to_owned());
+        let requirements = self.requirement.iter().map(|requirement| (&requirement.id, &requirement.text));
+        check_entries(checker, "requirement", "text", "identifier", requirements);
+        check_entries(checker, "ask", "question", "name", self.ask.iter().map(|ask| (&ask.id, &ask.question)));
+        let Some(RawDecision { rule, largest_uncertainty_percent, .. }) = &self.decision else { return };
+        let has_limit = largest_uncertainty_percent.is_some();
+        let needs_limit = *rule == DecisionRule::SharedRisk;
+        checker.require(has_limit || !needs_limit, "decision.rule", || {
+            "shared-risk needs `largest_uncertainty_percent`".to_owned()
+        });
+        checker.require(needs_limit || !has_limit, "decision.largest_uncertainty_percent", || {
+            format!("this limit is only for shared-risk, but the rule is {rule}")
+        });
+    }
 }
 
-impl PlanChecker<'_> {
-    fn report(&mut self, key: &str, message: String) {
-        self.problems.push(Diagnostic::at_key(self.path, self.text, key, message));
-    }
-
-    fn check(&mut self, raw: &RawPlan) {
-        if raw.title.trim().is_empty() {
-            self.report("title", "empty, expected a title".to_owned());
-        }
-        if raw.requirement.is_empty() {
-            self.report("requirement", "no [[requirement]], expected at least one".to_owned());
-        }
-        if raw.scenario.is_empty() {
-            self.report("scenario", "no [[scenario]], expected at least one".to_owned());
-        }
-        let requirements = raw.requirement.iter().map(|requirement| (&requirement.id, &requirement.text));
-        self.check_entries("requirement", "text", "identifier", requirements);
-        self.check_entries("ask", "question", "name", raw.ask.iter().map(|ask| (&ask.id, &ask.question)));
-        if let Some(decision) = &raw.decision {
-            self.check_decision(decision);
-        }
-    }
-
-    fn check_entries<'b>(
-        &mut self,
-        list: &str,
-        text_key: &str,
-        id_word: &str,
-        entries: impl Iterator<Item = (&'b String, &'b String)>,
-    ) {
-        let mut known = BTreeSet::new();
-        for (number, (id, text)) in entries.enumerate() {
-            if text.trim().is_empty() {
-                self.report(&format!("{list}.{number}.{text_key}"), format!("empty, expected a {text_key}"));
-            }
-            if !is_valid_name(id) || !known.insert(id) {
-                let message =
-                    format!("`{id}`, expected letters, digits and -, and another {id_word} in each [[{list}]]");
-                self.report(&format!("{list}.{number}.id"), message);
-            }
-        }
-    }
-
-    fn check_decision(&mut self, decision: &RawDecision) {
-        let key = "decision.largest_uncertainty_percent";
-        match (decision.rule, decision.largest_uncertainty_percent) {
-            (DecisionRule::SharedRisk, None) => {
-                self.report("decision.rule", "shared-risk needs `largest_uncertainty_percent`".to_owned());
-            }
-            (DecisionRule::Simple | DecisionRule::Guarded, Some(_)) => {
-                self.report(key, format!("this limit is only for shared-risk, but the rule is {}", decision.rule));
-            }
-            _ => {}
-        }
+fn check_entries<'a>(
+    checker: &mut FileChecker,
+    list: &str,
+    text_key: &str,
+    id_word: &str,
+    entries: impl Iterator<Item = (&'a String, &'a String)>,
+) {
+    let mut known = BTreeSet::new();
+    for (number, (id, text)) in entries.enumerate() {
+        checker.require(!text.trim().is_empty(), &format!("{list}.{number}.{text_key}"), || {
+            format!("empty, expected a {text_key}")
+        });
+        checker.require(is_valid_name(id) && known.insert(id), &format!("{list}.{number}.id"), || {
+            format!("`{id}`, expected letters, digits and -, and another {id_word} in each [[{list}]]")
+        });
     }
 }
 

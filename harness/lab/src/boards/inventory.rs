@@ -1,7 +1,7 @@
 //! Reads and checks `boards.toml`. Defines the errors of boards.
 
 use jiff::civil::Date;
-use platebench_model::scenario::{Diagnostic, find_trusted_file_above, parse_file};
+use platebench_model::scenario::{Diagnostic, FileChecker, find_trusted_file_above};
 use platebench_model::trace::FileError;
 use platebench_rig::{ConnectError, LockHolder, RigError, RigSpec};
 use schemars::JsonSchema;
@@ -127,17 +127,12 @@ impl Inventory {
     }
 
     pub fn read(path: &Path) -> Result<Self, Vec<Diagnostic>> {
-        let (text, raw) = parse_file::<RawInventory>(path)?;
-        let mut problems = Vec::new();
+        let (mut checker, raw) = FileChecker::read::<RawInventory>(path)?;
         let mut names = BTreeSet::new();
         let mut boards = Vec::new();
-        if raw.board.is_empty() {
-            problems.push(Diagnostic::at_key(path, &text, "board", "no board, expected at least one [[board]]"));
-        }
+        checker.require(!raw.board.is_empty(), "board", || "no board, expected at least one [[board]]".to_owned());
         for (index, board) in raw.board.into_iter().enumerate() {
-            let mut refuse = |key: &str, why: String| {
-                problems.push(Diagnostic::at_key(path, &text, &format!("board.{index}.{key}"), why));
-            };
+            let mut refuse = |key: &str, why: String| checker.report(&format!("board.{index}.{key}"), why);
             if !names.insert(board.name.clone()) {
                 refuse("name", format!("`{}` is the name of an earlier board, expected another one", board.name));
             }
@@ -145,7 +140,7 @@ impl Inventory {
                 boards.push(checked);
             }
         }
-        if problems.is_empty() { Ok(Self { path: path.to_owned(), boards }) } else { Err(problems) }
+        checker.finish().map(|_| Self { path: path.to_owned(), boards })
     }
 
     pub fn board(&self, name: &str) -> Result<&Board, BoardError> {

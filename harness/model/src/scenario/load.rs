@@ -9,8 +9,9 @@ mod scenario;
 
 use crate::scenario::definition::{InputFile, Scenario};
 use crate::scenario::diagnostic::Diagnostic;
+use crate::scenario::file_checker::FileChecker;
 use crate::scenario::matrix::{Source, SourceFile};
-use crate::scenario::parse::{parse_file, parse_source, range_errors, read_text, with_truncation_note};
+use crate::scenario::parse::{parse_source, range_errors, read_text, with_truncation_note};
 use crate::scenario::raw::RawScenario;
 use crate::scenario::schema::{PLATE_SCHEMA, SCENARIO_SCHEMA};
 pub(crate) use checker::Checker;
@@ -261,21 +262,17 @@ struct RawRequirements {
 
 /// Fails if an identifier is empty or occurs twice, or if a text is empty.
 pub fn read_requirements(path: &Path) -> Result<Vec<Requirement>, Vec<Diagnostic>> {
-    let (text, raw) = parse_file::<RawRequirements>(path)?;
+    let (mut checker, raw) = FileChecker::read::<RawRequirements>(path)?;
     let mut known = BTreeSet::new();
-    let mut problems = Vec::new();
     for (number, requirement) in raw.requirement.iter().enumerate() {
-        let mut report = |key: &str, message: String| {
-            problems.push(Diagnostic::at_key(path, &text, &format!("requirement.{number}.{key}"), message));
-        };
-        if requirement.text.trim().is_empty() {
-            report("text", "empty, expected a text".to_owned());
-        }
-        if requirement.id.trim().is_empty() || !known.insert(&requirement.id) {
-            report("id", format!("`{}`, expected each identifier once and none empty", requirement.id));
-        }
+        let key = |name: &str| format!("requirement.{number}.{name}");
+        checker.require(!requirement.text.trim().is_empty(), &key("text"), || "empty, expected a text".to_owned());
+        let is_new = !requirement.id.trim().is_empty() && known.insert(&requirement.id);
+        checker.require(is_new, &key("id"), || {
+            format!("`{}`, expected each identifier once and none empty", requirement.id)
+        });
     }
-    if problems.is_empty() { Ok(raw.requirement) } else { Err(problems) }
+    checker.finish().map(|_| raw.requirement)
 }
 
 /// Returns the texts of the identifiers in `used`. Empty if no folder above `scenario` contains

@@ -18,7 +18,7 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 use toml::{Spanned, Table, Value};
 
 /// Also returns the text of the file. Fails as [`parse`] does, or if the file cannot be read.
-pub fn parse_file<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
+pub(crate) fn parse_file<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<(String, T), Vec<Diagnostic>> {
     let text = read_text(path).map_err(|problem| vec![problem])?;
     let raw = parse(path, &text)?;
     Ok((text, raw))

@@ -2,7 +2,7 @@
 //! from a TOML file.
 
 use jiff::civil::Date;
-use platebench_model::scenario::{Diagnostic, Metric, parse_file};
+use platebench_model::scenario::{Diagnostic, FileChecker, Metric};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -185,25 +185,24 @@ pub fn known_quantities() -> Vec<&'static str> {
 impl Budget {
     /// Returns the budget or all problems of the file. `quantities` are the accepted names.
     pub fn load(path: &Path, quantities: &[&str]) -> Result<Self, Vec<Diagnostic>> {
-        let (text, raw) = parse_file::<RawBudget>(path)?;
-        let mut checker = BudgetChecker { path, text: &text, quantities, problems: Vec::new() };
+        let (checker, raw) = FileChecker::read::<RawBudget>(path)?;
+        let mut checker = BudgetChecker { checker, quantities };
         let budget = checker.check(raw);
-        if checker.problems.is_empty() { Ok(budget) } else { Err(checker.problems) }
+        checker.checker.finish().map(|text| Self { bytes: text.into_bytes(), ..budget })
     }
 }
 
 struct BudgetChecker<'a> {
-    path: &'a Path,
-    text: &'a str,
+    checker: FileChecker,
     quantities: &'a [&'a str],
-    problems: Vec<Diagnostic>,
 }
 
 impl BudgetChecker<'_> {
     fn report(&mut self, key: &str, message: String) {
-        self.problems.push(Diagnostic::at_key(self.path, self.text, key, message));
+        self.checker.report(key, message);
     }
 
+    /// The budget has no bytes yet.
     fn check(&mut self, raw: RawBudget) -> Budget {
         self.check_text("title", &raw.title);
         if raw.budget.is_empty() {
@@ -239,8 +238,8 @@ impl BudgetChecker<'_> {
                 .collect();
             quantities.push(QuantityBudget { quantity: raw.quantity, components });
         }
-        let bytes = self.text.as_bytes().to_vec();
-        Budget { bytes, title: raw.title, coverage: raw.coverage_percent / 100.0, instruments, quantities }
+        let coverage = raw.coverage_percent / 100.0;
+        Budget { bytes: Vec::new(), title: raw.title, coverage, instruments, quantities }
     }
 
     fn check_text(&mut self, key: &str, text: &str) {
@@ -249,34 +248,35 @@ impl BudgetChecker<'_> {
         }
     }
 
-    /// Reports an invalid date and returns 1 January 1970 instead.
-    fn date(&mut self, key: &str, text: &str) -> Date {
-        text.parse().unwrap_or_else(|_| {
-            self.report(key, format!("`{text}`, expected a date, such as \"2026-03-01\""));
-            Date::constant(1970, 1, 1)
-        })
+    /// Reports an invalid date.
+    fn date(&mut self, key: &str, text: &str) -> Option<Date> {
+        let date = text.parse().ok();
+        self.checker.require(date.is_some(), key, || format!("`{text}`, expected a date, such as \"2026-03-01\""));
+        date
     }
 
     fn instrument(&mut self, number: usize, raw: RawInstrument) -> Instrument {
         let key = |name: &str| format!("instrument.{number}.{name}");
         self.check_text(&key("name"), &raw.name);
         self.check_text(&key("serial"), &raw.serial);
-        let problems = self.problems.len();
         let calibrated = self.date(&key("calibrated"), &raw.calibrated);
         let due = self.date(&key("due"), &raw.due);
-        if due < calibrated && self.problems.len() == problems {
+        if let (Some(calibrated), Some(due)) = (calibrated, due)
+            && due < calibrated
+        {
             self.report(
                 &key("due"),
                 format!("{due} is before the calibration on {calibrated}; expected the last day on which it is valid"),
             );
         }
+        let [calibrated, due] = [calibrated, due].map(Option::unwrap_or_default);
         Instrument { name: raw.name, serial: raw.serial, certificate: raw.certificate, calibrated, due }
     }
 
     fn component(&mut self, key: &str, raw: RawComponent, instruments: &BTreeSet<&String>) -> Component {
         let at = |name: &str| format!("{key}.{name}");
         self.check_text(&at("source"), &raw.source);
-        let date = self.date(&at("date"), &raw.date);
+        let date = self.date(&at("date"), &raw.date).unwrap_or_default();
         if let Some(name) = raw.instrument.as_ref().filter(|name| !instruments.contains(name)) {
             self.report(&at("instrument"), format!("there is no [[instrument]] with the name `{name}`"));
         }
