@@ -441,12 +441,31 @@ mod tests {
 
     #[test]
     fn equal_differences_are_one_warning() {
-        let all = [("a", 3, "x"), ("a", 4, "x"), ("a", 3, "y"), ("b", 3, "x")].map(|(script, exchange, text)| {
-            ScriptDifference { script: script.to_owned(), exchange, text: text.to_owned() }
-        });
+        let difference = |(script, exchange, text, rule): (&str, usize, &str, Option<&'static str>)| ScriptDifference {
+            script: script.to_owned(),
+            exchange,
+            text: text.to_owned(),
+            rule,
+        };
+        let all = [
+            ("a", 3, "x", None),
+            ("a", 4, "x", None),
+            ("a", 3, "y", None),
+            ("b", 3, "x", None),
+            ("c", 1, "gains 1", Some("rule")),
+            ("d", 2, "gains 2", Some("rule")),
+            ("d", 3, "other", Some("another rule")),
+        ]
+        .map(difference);
         let found: Vec<_> =
             distinct_differences(&all).into_iter().map(|(first, count)| (first.to_string(), count)).collect();
-        let expected = [("a: exchange 3: x", 2), ("a: exchange 3: y", 1), ("b: exchange 3: x", 1)];
+        let expected = [
+            ("a: exchange 3: x", 2),
+            ("a: exchange 3: y", 1),
+            ("b: exchange 3: x", 1),
+            ("c: exchange 1: gains 1", 2),
+            ("d: exchange 3: other", 1),
+        ];
         assert_eq!(found, expected.map(|(text, count)| (text.to_owned(), count)));
     }
 

@@ -77,18 +77,22 @@ pub struct ScriptDifference {
     /// Number of the exchange, from 1.
     pub exchange: usize,
     pub text: String,
+    /// Rule that differences of several scripts have in common, whatever their numbers are.
+    pub rule: Option<&'static str>,
 }
 
 impl ScriptDifference {
-    /// True if scripts of one name differ in the same way, at any exchange.
+    /// True if both break the same rule, or scripts of one name differ in the same way, at any
+    /// exchange.
     pub fn is_like(&self, other: &Self) -> bool {
-        (&self.script, &self.text) == (&other.script, &other.text)
+        let is_same_rule = self.rule.is_some() && self.rule == other.rule;
+        is_same_rule || (&self.script, &self.text) == (&other.script, &other.text)
     }
 }
 
 impl fmt::Display for ScriptDifference {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { script, exchange, text } = self;
+        let Self { script, exchange, text, .. } = self;
         write!(formatter, "{script}: exchange {exchange}: {text}")
     }
 }
@@ -304,7 +308,7 @@ impl Player<'_> {
             let received = ReceivedPackets::new(&std::mem::take(&mut received), request);
             let silence = exchange.wait.max(self.period)..=longest;
             let compared = comparison.compare(&received, &answers, silence, &mut self.history);
-            if let Err(CommandDifference { text, other_cause }) = compared {
+            if let Err(CommandDifference { text, rule, other_cause }) = compared {
                 let is_late = other_cause == Some(BenchCause::NoAnswer) && self.await_late_answer()?;
                 let other_cause = match other_cause {
                     Some(BenchCause::NoAnswer) if is_late => Some(BenchCause::LateAnswer),
@@ -315,7 +319,8 @@ impl Player<'_> {
                 };
                 let text = if is_late { format!("{text}; a message arrived after the time-out") } else { text };
                 let script = script.name.clone();
-                return Ok(Some((ScriptDifference { script, exchange: number + 1, text }, other_cause)));
+                let exchange = number + 1;
+                return Ok(Some((ScriptDifference { script, exchange, text, rule }, other_cause)));
             }
         }
         Ok(None)

@@ -40,6 +40,8 @@ const CLOCK_TOLERANCE: f64 = 0.1;
 
 pub(super) struct CommandDifference {
     pub(super) text: String,
+    /// Rule of the protocol that differences in several scripts have in common.
+    pub(super) rule: Option<&'static str>,
     pub(super) other_cause: Option<BenchCause>,
 }
 
@@ -218,17 +220,17 @@ impl<'a> ScriptComparison<'a> {
         let previous = self.previous.take();
         let late = silence.end().saturating_sub(*silence.start());
         if let Some(text) = self.ticks.add(&received.ticks, reference.ticks.len(), late) {
-            return Err(CommandDifference { text, other_cause: Some(BenchCause::LateTicks) });
+            return Err(CommandDifference { text, rule: None, other_cause: Some(BenchCause::LateTicks) });
         }
         if let Some(drift) = self.ticks.drift() {
             let text =
                 format!("the ticks of the controller drifted by {drift:.1?}, expected at most a quarter of the period");
-            return Err(CommandDifference { text, other_cause: Some(BenchCause::LateTicks) });
+            return Err(CommandDifference { text, rule: None, other_cause: Some(BenchCause::LateTicks) });
         }
         for (position, expected) in reference.answers.iter().enumerate() {
             let Some(answer) = received.answers.get(position) else {
                 let text = format!("no answer, expected {}", show(expected));
-                return Err(CommandDifference { text, other_cause: Some(BenchCause::NoAnswer) });
+                return Err(CommandDifference { text, rule: None, other_cause: Some(BenchCause::NoAnswer) });
             };
             self.observe_design(answer, expected);
             let varied = if self.compares_numbers() { varied } else { &[] };
@@ -237,9 +239,10 @@ impl<'a> ScriptComparison<'a> {
                     other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
             }
             if !self.is_equal(answer, expected) {
-                let text = describe(answer, expected);
+                let configured = self.configuration.and_then(|configuration| configuration.gains);
+                let (text, rule) = describe(answer, expected, configured);
                 let other_cause = (answer.sequence != expected.sequence).then_some(BenchCause::NoAnswer);
-                return Err(CommandDifference { text, other_cause });
+                return Err(CommandDifference { text, rule, other_cause });
             }
             if matches!(answer.message, Message::Configured(configured) if configured.outcome.is_ok()) {
                 (self.running, self.last_command) = (None, None);
@@ -277,21 +280,22 @@ impl<'a> ScriptComparison<'a> {
         let Command { drive_vpp, flags: set, state, .. } = *answer;
         if state != ControllerState::Running {
             let text = format!("flags {set} in the state {state:?}, expected 0 without a control step");
-            return if set == 0 { Ok(()) } else { differs(text) };
+            return if set == 0 { Ok(()) } else { breaks(FLAGS, text) };
         }
         let limit_vpp = self.configuration.map_or(f32::INFINITY, |configuration| configuration.drive_limit_vpp);
         let is_saturated = set & flags::SATURATED != 0;
         if drive_vpp == limit_vpp && !is_saturated {
-            return differs(format!("flags {set} at the drive limit of {limit_vpp} Vpp, expected flag 1"));
+            return breaks(FLAGS, format!("flags {set} at the drive limit of {limit_vpp} Vpp, expected flag 1"));
         }
         if is_saturated && drive_vpp < limit_vpp * (1.0 - SAME_GAINS_TOLERANCE as f32) {
-            return differs(format!(
-                "flag 1 at {drive_vpp} Vpp, expected it at the drive limit of {limit_vpp} Vpp only"
-            ));
+            return breaks(
+                FLAGS,
+                format!("flag 1 at {drive_vpp} Vpp, expected it at the drive limit of {limit_vpp} Vpp only"),
+            );
         }
         let both = flags::FREQUENCY_LIMITED | flags::FREQUENCY_HELD;
         if set & both == both {
-            return differs(format!("flags {set}, expected 2 or 4 but not both"));
+            return breaks(FLAGS, format!("flags {set}, expected 2 or 4 but not both"));
         }
         Ok(())
     }
@@ -303,19 +307,25 @@ impl<'a> ScriptComparison<'a> {
         };
         let Command { drive_vpp, frequency_mhz, .. } = *answer;
         if !(0.0..=configuration.drive_limit_vpp).contains(&drive_vpp) {
-            return differs(format!("a drive of {drive_vpp} Vpp, expected 0 to {} Vpp", configuration.drive_limit_vpp));
+            return breaks(
+                DRIVE_RANGE,
+                format!("a drive of {drive_vpp} Vpp, expected 0 to {} Vpp", configuration.drive_limit_vpp),
+            );
         }
         let distance_hz = |from: u32| (f64::from(frequency_mhz) - f64::from(from)).abs() * 1e-3;
         let tolerance_hz = f64::from(FREQUENCY_TOLERANCE_MHZ) * 1e-3;
         let [range, slew] = [configuration.frequency_range_hz, configuration.frequency_slew_hz].map(f64::from);
         let offset = distance_hz(configuration.start_frequency_mhz);
         if offset > range + tolerance_hz {
-            return differs(format!("a frequency {offset:.3} Hz from its start, expected at most {range} Hz"));
+            return breaks(
+                FREQUENCY_RANGE,
+                format!("a frequency {offset:.3} Hz from its start, expected at most {range} Hz"),
+            );
         }
         let previous = self.last_command.replace(*answer);
         let change = distance_hz(previous.map_or(configuration.start_frequency_mhz, |last| last.frequency_mhz));
         if change > slew + tolerance_hz {
-            return differs(format!("a frequency step of {change:.3} Hz, expected at most {slew} Hz"));
+            return breaks(FREQUENCY_SLEW, format!("a frequency step of {change:.3} Hz, expected at most {slew} Hz"));
         }
         let CommandHistory(commands) = history;
         let Some((drive, frequency)) = commands.get(&self.inputs.hash).copied() else {
@@ -329,10 +339,13 @@ impl<'a> ScriptComparison<'a> {
             return Ok(());
         }
         let [answer, earlier] = [*answer, earlier].map(|command| show_command(0, &command));
-        differs(format!(
-            "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, \
+        breaks(
+            NO_MEMORY,
+            format!(
+                "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, \
              {earlier}"
-        ))
+            ),
+        )
     }
 
     /// The law of the last configuration decides, whatever the law of the scenario is.
@@ -422,7 +435,18 @@ impl<'a> ScriptComparison<'a> {
 }
 
 fn differs<T>(text: String) -> Result<T, CommandDifference> {
-    Err(CommandDifference { text, other_cause: None })
+    Err(CommandDifference { text, rule: None, other_cause: None })
+}
+
+/// Rules for every command. A controller breaks them in many scripts with other numbers.
+const FLAGS: &str = "flags";
+const DRIVE_RANGE: &str = "range of the drive";
+const FREQUENCY_RANGE: &str = "range of the frequency";
+const FREQUENCY_SLEW: &str = "slew of the frequency";
+const NO_MEMORY: &str = "a configuration clears the state";
+
+fn breaks<T>(rule: &'static str, text: String) -> Result<T, CommandDifference> {
+    Err(CommandDifference { text, rule: Some(rule), other_cause: None })
 }
 
 fn compare_clocks(
@@ -453,22 +477,31 @@ fn are_close(one: Gains, other: Gains, tolerance: f32) -> bool {
     numbers(one).into_iter().zip(numbers(other)).all(|(one, other)| (one - other).abs() <= tolerance * other.abs())
 }
 
-/// Section of the page of the protocol that says which configurations a controller accepts.
+/// Sections of the page of the protocol: the configurations that a controller accepts, and the gains
+/// that it reports for them.
 const ACCEPTED_CONFIGURATIONS: &str = "docs/wire-protocol.md, 4 configured";
+const REPORTED_GAINS: &str = "docs/wire-protocol.md, Gains";
 
-/// Gains matter only if both answers contain some.
-fn describe(answer: &Packet, expected: &Packet) -> String {
+/// Returns a sentence and the rule that it cites. Gains matter only if both answers contain some.
+/// `configured` are gains that the configuration contained, which the answer has to repeat.
+fn describe(answer: &Packet, expected: &Packet, configured: Option<Gains>) -> (String, Option<&'static str>) {
     match (&answer.message, &expected.message) {
         (
             Message::Configured(Configured { outcome: Ok(own) }),
             Message::Configured(Configured { outcome: Ok(gains) }),
         ) => {
-            format!("accepted with the gains {:?}, expected {:?}", numbers(*own), numbers(*gains))
+            let [own, gains] = [numbers(*own), numbers(configured.unwrap_or(*gains))];
+            let text = format!(
+                "reports Kp, Ki of the amplitude and Kp, Ki of the frequency {own:?}, expected {gains:?} \
+                 ({REPORTED_GAINS})"
+            );
+            (text, Some(REPORTED_GAINS))
         }
         (Message::Configured(_), Message::Configured(_)) => {
-            format!("{}, expected {} ({ACCEPTED_CONFIGURATIONS})", show(answer), show(expected))
+            let text = format!("{}, expected {} ({ACCEPTED_CONFIGURATIONS})", show(answer), show(expected));
+            (text, None)
         }
-        _ => format!("{}, expected {}", show(answer), show(expected)),
+        _ => (format!("{}, expected {}", show(answer), show(expected)), None),
     }
 }
 
