@@ -221,9 +221,10 @@ impl From<RunError> for Failure {
             RunError::Scenario(problem) => problem.into(),
             RunError::Connect(error) => error.into(),
             RunError::Rig(error) => error.into(),
-            RunError::DifferentController { .. } | RunError::DifferentProgram { .. } | RunError::Lost(_) => {
-                Self::new(Exit::Unreachable, &error)
-            }
+            RunError::DifferentController { .. }
+            | RunError::DifferentProgram { .. }
+            | RunError::Lost(_)
+            | RunError::Rejected { .. } => Self::new(Exit::Unreachable, &error),
             RunError::Internal(_) | RunError::Cancelled => Self::new(Exit::Inconclusive, &error),
             // The firmware rejects a scenario or plate that it cannot control: an invalid input.
             RunError::Refused { .. }

@@ -21,7 +21,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 use tracing::{debug, error};
 
-/// Number of consecutive trials with a lost controller after which a search or a sweep ends.
+/// Number of consecutive trials with a lost controller after which a search or a sweep ends, and of
+/// trials whose frames are all rejected after which a run ends.
 pub const MAX_LOSSES: u32 = 5;
 
 /// Longest wait for a port or a server that has vanished.
@@ -108,6 +109,8 @@ pub struct Executor<'a, L: Link = BoxedLink> {
     ends: &'a SafeEnds,
     session: Option<RigSession<L>>,
     losses: u32,
+    /// Number of consecutive trials without a command because frames were rejected.
+    rejections: u32,
     /// True after the first connection.
     has_connected: bool,
 }
@@ -115,7 +118,7 @@ pub struct Executor<'a, L: Link = BoxedLink> {
 impl<'a, L: Link> Executor<'a, L> {
     /// Connects at the first trial.
     pub fn new(connect: &'a LinkFactory<'a, L>, settings: ExecutorSettings<'a>, ends: &'a SafeEnds) -> Self {
-        Self { connect, settings, ends, session: None, losses: 0, has_connected: false }
+        Self { connect, settings, ends, session: None, losses: 0, rejections: 0, has_connected: false }
     }
 
     pub(crate) fn with_session(mut self, session: RigSession<L>) -> Self {
@@ -146,7 +149,8 @@ impl<'a, L: Link> Executor<'a, L> {
 
     /// Plays trial `index` and, before it, the scenes between trials. `None` if it was cancelled.
     /// Fails if the controller cannot be reached, or if the configuration is unusable for every
-    /// controller. A lost controller is no error of the trial, unless it is lost too often.
+    /// controller. A lost controller is no error of the trial, unless it is lost too often, or all
+    /// of its frames are rejected in trial after trial.
     pub fn play(
         &mut self,
         scenario: &Scenario,
@@ -170,12 +174,17 @@ impl<'a, L: Link> Executor<'a, L> {
         };
         let Some(mut played) = self.play_on_clock(scene, law, index, continues, tap)? else { return Ok(None) };
         played.telemetry.include_scene(scenes);
+        self.rejections =
+            if matches!(played.link_error, Some(RigError::RejectedAnswer { .. })) { self.rejections + 1 } else { 0 };
         match &played.link_error {
             // A controller that refuses a configuration answers, so the next trial needs no other one.
             None | Some(RigError::ConfigurationRejected(_)) => self.losses = 0,
             Some(lost) => self.replace_lost_controller(lost)?,
         }
-        Ok(Some(played))
+        match played.link_error.take_if(|_| self.rejections >= MAX_LOSSES) {
+            Some(error) => Err(RunError::Rejected { trials: self.rejections, error }),
+            None => Ok(Some(played)),
+        }
     }
 
     /// Plays trials of `variant` until `scenario` is decided or `on_trial` stops it. The two differ

@@ -96,6 +96,8 @@ pub enum RunError {
     Trace(#[from] TraceError),
     #[error("the connection to the controller failed in {0} consecutive trials; check the controller and its line")]
     Lost(u32),
+    #[error("{trials} consecutive trials ended with: {error}")]
+    Rejected { trials: u32, error: RigError },
     #[error("the run was cancelled")]
     Cancelled,
     #[error("the bench has a defect, please report it: {0}")]

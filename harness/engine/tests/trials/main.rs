@@ -12,6 +12,7 @@ mod model;
 mod non_finite_drive;
 mod peaks;
 mod refused_configuration;
+mod rejected_commands;
 mod replaced_board;
 mod returning_port;
 mod safe_end;
