@@ -7,6 +7,7 @@ use platebench_model::record::{
 };
 use platebench_model::scenario::NotApplicableExpectation;
 use platebench_model::{quoted, quoted_path};
+use std::cmp::Reverse;
 use std::mem::{Discriminant, discriminant};
 use std::ops::Range;
 use std::path::Path;
@@ -251,6 +252,21 @@ pub(crate) fn symptoms(record: &RunRecord) -> impl Iterator<Item = (&ScenarioRec
         let (trial, symptom) = symptom_of(scenario)?;
         Some((scenario, trial, symptom))
     })
+}
+
+/// The first scenario of each kind of symptom, and the number of further scenarios that show it. The
+/// most frequent kind is first.
+pub(crate) fn symptom_groups(record: &RunRecord) -> Vec<((&ScenarioRecord, u32, LoopSymptom), usize)> {
+    let mut groups: Vec<((&ScenarioRecord, u32, LoopSymptom), usize)> = Vec::new();
+    for found in symptoms(record) {
+        let kind = discriminant(&found.2);
+        match groups.iter_mut().find(|((.., known), _)| discriminant(known) == kind) {
+            Some((_, further)) => *further += 1,
+            None => groups.push((found, 0)),
+        }
+    }
+    groups.sort_by_key(|(_, further)| Reverse(*further));
+    groups
 }
 
 /// The first trial with a symptom. A scenario that passed needs no explanation.

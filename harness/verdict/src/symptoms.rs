@@ -9,11 +9,12 @@ use platebench_model::trace::{Flags, Row};
 const MIN_PERIODS: usize = 10;
 /// Distance to the limit of the frequency that counts as at the limit. The wire rounds to 1 mHz.
 const AT_LIMIT_HZ: f64 = 5e-3;
+/// Number of ranges from the start from which the layout of the command is suspected.
+const FAR_RANGES: f64 = 10.0;
 /// Share of the drive limit from which the drive is at its limit.
 const LIMIT_SHARE: f64 = 1.0 - 1e-6;
-/// Control periods at the limit before and after the amplitude passes the setpoint. A correct loop
-/// needs one, or two with a delay.
-const WIND_UP_PERIODS: usize = 4;
+/// Control periods at a limit after which an overshoot has no other likely cause than wind-up.
+const LIMITED_PERIODS: usize = 3;
 /// Share of the setpoint by which the amplitude must be off.
 const FAR: f64 = 0.05;
 /// Largest change of a drive that does not move, share of its limit.
@@ -24,6 +25,20 @@ const SPIKE: f64 = 0.3;
 const NEIGHBOUR: f64 = 0.05;
 /// A law whose drive follows the setpoint only.
 const OPEN_LOOP: &str = "open-loop";
+/// Instants of a trace are whole nanoseconds, s.
+const SAME_INSTANT_S: f64 = 5e-10;
+/// Least number of unlimited changes of the drive from which gains are fitted.
+const MIN_CHANGES: usize = 4;
+/// Least share of their squares by which the two causes of a change differ.
+const MIN_SEPARATION: f64 = 0.05;
+/// Largest relative difference of the ratio from that of the pole.
+const SAME_RATIO: f64 = 0.1;
+/// Largest share of the changes' squares that a PI law leaves unexplained.
+const UNEXPLAINED: f64 = 0.01;
+/// Gains are far from the design if one is larger or smaller by this factor.
+const GAIN_FACTOR: f64 = 1.5;
+/// 5 % response time of the design without a configured one, s (`docs/wire-protocol.md`).
+const RESPONSE_S: f64 = 1.9e-3;
 
 pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<LoopSymptom> {
     if telemetry.unused_fpu {
@@ -39,6 +54,9 @@ pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Tele
     if driven.len() >= MIN_PERIODS && all_driven().all(|row| row.drive_vpp == 0.0) {
         return Some(LoopSymptom::NoDrive);
     }
+    if driven.iter().any(|row| has_far_frequency(scenario, row)) {
+        return Some(LoopSymptom::FarFrequency);
+    }
     let limit = scenario.plate.drive_limit_vpp;
     let last = rows.last().filter(runs);
     let has_wrong_frequency = last.is_some_and(|last| ends_away_from_resonance(scenario, last));
@@ -51,12 +69,21 @@ pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Tele
         None
     } else if switches_between_limits(rows.get(rows.len() / 3 * 2..).unwrap_or_default(), limit) {
         Some(LoopSymptom::SwitchingDrive)
-    } else if !is_disturbed && winds_up(&driven, limit) {
-        Some(LoopSymptom::WindUp)
+    } else if !is_disturbed && ends_driven_above_setpoint(&driven, limit) {
+        Some(if was_below_for_long(&driven, limit) { LoopSymptom::WindUp } else { LoopSymptom::LimitAboveSetpoint })
+    } else if scenario.controller.law == OPEN_LOOP {
+        None
+    } else if is_unmoved(&driven, limit) {
+        Some(LoopSymptom::UnmovedDrive)
     } else {
-        let is_unmoved = scenario.controller.law != OPEN_LOOP && is_unmoved(&driven, limit);
-        is_unmoved.then_some(LoopSymptom::UnmovedDrive)
+        far_gains(scenario, rows)
+            .or_else(|| (!is_disturbed && overshoots_after_limit(&driven, limit)).then_some(LoopSymptom::WindUp))
     }
+}
+
+fn has_far_frequency(scenario: &Scenario, row: &Row) -> bool {
+    let controller = &scenario.controller;
+    (row.frequency_hz - controller.start_frequency_hz).abs() > FAR_RANGES * controller.frequency_range_hz
 }
 
 fn ends_away_from_resonance(scenario: &Scenario, last: &Row) -> bool {
@@ -86,21 +113,108 @@ fn has_spike(driven: &[&Row], limit: f64) -> bool {
     })
 }
 
-/// True if the drive stays at its limit although the amplitude is far beyond the setpoint.
-fn winds_up(driven: &[&Row], limit: f64) -> bool {
-    driven.windows(2 * WIND_UP_PERIODS).any(|rows| {
-        let (before, after) = rows.split_at(WIND_UP_PERIODS);
+/// Error of Wd, which the amplitude loop controls, relative to the setpoint; positive above it.
+fn error(row: &Row) -> f64 {
+    row.wd_um / row.setpoint_um - 1.0
+}
+
+/// True if the drive is at its limit at the end although Wd is far above the setpoint.
+fn ends_driven_above_setpoint(driven: &[&Row], limit: f64) -> bool {
+    let end = driven.get(driven.len().saturating_sub(MIN_PERIODS)..).unwrap_or_default();
+    end.iter().all(|row| row.drive_vpp >= limit * LIMIT_SHARE && error(row) > FAR)
+}
+
+/// True if the error below the setpoint, summed since the drive reached its limit, exceeds the one
+/// above it. An integral without anti-windup keeps the drive at its limit until both are equal.
+fn was_below_for_long(driven: &[&Row], limit: f64) -> bool {
+    let at_limit = driven.iter().rev().take_while(|row| row.drive_vpp >= limit * LIMIT_SHARE);
+    at_limit.map(|row| row.wd_um - row.setpoint_um).sum::<f64>() < 0.0
+}
+
+/// A control step: the error of the sample, and the drive that answers it.
+struct ControlStep {
+    at_s: f64,
+    setpoint_um: f64,
+    error_um: f64,
+    drive_vpp: f64,
+}
+
+/// The drive of a row acts from the row on, so the last row before the next sample has the answer.
+fn control_steps(rows: &[Row]) -> Vec<ControlStep> {
+    let mut steps: Vec<ControlStep> = Vec::new();
+    for row in rows {
+        if row.flags.contains(Flags::CONTROL) {
+            let Row { t_s: at_s, setpoint_um, sensed_wd_um, drive_vpp, .. } = *row;
+            steps.push(ControlStep { at_s, setpoint_um, error_um: setpoint_um - sensed_wd_um, drive_vpp });
+        } else if let Some(step) = steps.last_mut() {
+            step.drive_vpp = row.drive_vpp;
+        }
+    }
+    steps
+}
+
+/// True if Wd passes the setpoint far after periods at a limit. With anti-windup it does not.
+fn overshoots_after_limit(driven: &[&Row], limit: f64) -> bool {
+    driven.windows(LIMITED_PERIODS + 2).any(|rows| {
+        let (limited, after) = rows.split_at(LIMITED_PERIODS);
         let is_constant = rows.iter().all(|row| row.setpoint_um == rows[0].setpoint_um);
-        let error = |row: &&&Row| row.amplitude_um / row.setpoint_um - 1.0;
-        let stays = |is_limit: &dyn Fn(&Row) -> bool| rows.iter().all(|row| is_limit(row));
-        let passes = |sign: f64| {
-            before.iter().all(|row| error(&row) * sign < 0.0)
-                && after.iter().skip(1).all(|row| error(&row) * sign > FAR)
-        };
+        let stays = |is_limit: &dyn Fn(&Row) -> bool| limited.iter().all(|row| is_limit(row));
+        let passes = |sign: f64| error(rows[0]) * sign < 0.0 && after.iter().any(|row| error(row) * sign > FAR);
         is_constant
             && (stays(&|row| row.drive_vpp >= limit * LIMIT_SHARE) && passes(1.0)
                 || stays(&|row| row.drive_vpp == 0.0) && passes(-1.0))
     })
+}
+
+fn far_gains(scenario: &Scenario, rows: &[Row]) -> Option<LoopSymptom> {
+    let [kp, ki] = fit_gains(scenario, rows)?;
+    let is_far = [kp, ki].iter().any(|ratio| !(1.0 / GAIN_FACTOR..=GAIN_FACTOR).contains(ratio));
+    is_far.then_some(LoopSymptom::FarGains { kp, ki })
+}
+
+/// Fits `u − u′ = Kp (e − e′) + Ki T e′ + c`, with the values e′ and u′ of the step before, to the
+/// unlimited changes of the drive; c stands for an offset of the sample. Returns the gains relative
+/// to the design of `docs/wire-protocol.md`. `None` if a PI law does not explain the changes.
+///
+/// If e decays with one pole p, the changes do not separate the gains. Then the zero of the law
+/// cancels the pole of the plate, as in the design, so both have the same ratio r to the design,
+/// whose pole is d: `1 − p = r (1 − d)`.
+fn fit_gains(scenario: &Scenario, rows: &[Row]) -> Option<[f64; 2]> {
+    let limit = scenario.plate.drive_limit_vpp;
+    let period_s = scenario.controller.period.seconds();
+    let is_unlimited = |step: &ControlStep| step.drive_vpp > 0.0 && step.drive_vpp < limit * LIMIT_SHARE;
+    let changes: Vec<[f64; 3]> = control_steps(rows)
+        .array_windows()
+        .filter(|[before, step]| {
+            let is_next = (step.at_s - before.at_s - period_s).abs() < SAME_INSTANT_S;
+            let is_constant = before.setpoint_um == step.setpoint_um && step.setpoint_um > 0.0;
+            is_next && is_constant && is_unlimited(before) && is_unlimited(step)
+        })
+        .map(|[before, step]| [step.error_um - before.error_um, before.error_um, step.drive_vpp - before.drive_vpp])
+        .collect();
+    let sum = |product: &dyn Fn(&[f64; 3]) -> f64| changes.iter().map(product).sum::<f64>();
+    let mean = [0, 1, 2].map(|column: usize| sum(&|change| change[column]) / changes.len() as f64);
+    let moment = |one: usize, other: usize| sum(&|change| (change[one] - mean[one]) * (change[other] - mean[other]));
+    let [pp, pi, ii] = [moment(0, 0), moment(0, 1), moment(1, 1)];
+    let [up, ui, uu] = [moment(2, 0), moment(2, 1), moment(2, 2)];
+    let plate = scenario.controller.design_plate.as_ref().unwrap_or(&scenario.plate);
+    let response_s = scenario.controller.response_time_ms.map_or(RESPONSE_S, |ms| ms * 1e-3);
+    let decay = 1.0 - (-period_s * plate.sigma0).exp();
+    let step = 1.0 - (-3.0 * period_s / response_s).exp();
+    let design_kp = step / (plate.gain * decay);
+    let determinant = pp * ii - pi * pi;
+    let [kp, ki] = if determinant > MIN_SEPARATION * pp * ii {
+        [(up * ii - ui * pi) / determinant / design_kp, (ui * pp - up * pi) / determinant / (design_kp * decay)]
+    } else {
+        let ratio = (up + decay * ui) / (pp + 2.0 * decay * pi + decay * decay * ii) / design_kp;
+        let ratio_of_pole = -pi / ii / step;
+        if (ratio / ratio_of_pole - 1.0).abs() > SAME_RATIO {
+            return None;
+        }
+        [ratio, ratio]
+    };
+    let unexplained = uu - design_kp * (kp * up + ki * decay * ui);
+    (changes.len() >= MIN_CHANGES && unexplained <= UNEXPLAINED * uu).then_some([kp, ki])
 }
 
 /// True if the amplitude stays off the setpoint at the end and the drive does not move.

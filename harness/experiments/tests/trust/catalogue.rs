@@ -1,12 +1,16 @@
 //! Checks that the witness scenario catches each mutant and does not fail a correct controller.
 
+use platebench_engine::{Executor, ExecutorSettings, SafeEnds};
 use platebench_experiments::trust::report::MutantOutcome;
 use platebench_experiments::trust::{
     Mutant, MutantSpec, TrustConfig, TrustReport, catalogue, measure, protocol_faults,
 };
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Metric;
+use platebench_rig::CancelToken;
 use platebench_test_kit::{load_scenario, workspace_root};
+use platebench_verdict::measure as measure_trial;
+use rstest::rstest;
 use std::collections::BTreeSet;
 use std::fs;
 
@@ -53,6 +57,28 @@ fn the_suite_catches_at_least_25_of_40_protocol_faults() {
         .collect();
     assert!(missed.is_empty(), "{missed:?}");
     assert!(result.kill_rate.seen >= 25 && result.kill_rate.count == 40, "{:?}", result.kill_rate);
+}
+
+/// The console names these causes, so that a user finds the mistake without a look at the trace.
+#[rstest]
+#[case::wind_up("no-anti-windup", "paper/setpoint-steps.toml", "anti-windup")]
+#[case::doubled_gain("drive-gain-doubled", "paper/fig13-closed-loop.toml", "2.000 times Kp and 2.000 times Ki")]
+#[case::halved_gain("drive-gain-halved", "paper/fig13-closed-loop.toml", "0.500 times Kp and 0.500 times Ki")]
+#[case::no_integral("integral-missing", "paper/fig13-closed-loop.toml", "no integral")]
+#[case::frequency_sign("frequency-sign", "paper/fig15-frequency.toml", "sign of the frequency loop")]
+#[case::correct("setpoint-scale", "paper/fig13-closed-loop.toml", "")]
+fn a_mutant_has_a_likely_cause(#[case] mutant: &str, #[case] file: &str, #[case] cause: &str) {
+    let mutant = catalogue().into_iter().find(|entry| entry.name == mutant).unwrap();
+    let mut scenario = load_scenario(file);
+    // The gains of `dq-pi` adapt, so they cannot be fitted.
+    scenario.controller.law = "dq-pi-fixed".to_owned();
+    let (connect, ends) = (|| Ok(mutant.link()), SafeEnds::default());
+    let mut executor = Executor::new(&connect, ExecutorSettings::lockstep(&CancelToken::never()), &ends);
+    let law = platebench_engine::law(&scenario).unwrap();
+    let played = executor.play(&scenario, law, 0, None).unwrap().unwrap();
+    let symptom = measure_trial(&scenario, 0, &played.trace_rows, &played.telemetry).symptom;
+    let text = symptom.map(|symptom| symptom.to_string()).unwrap_or_default();
+    assert!(text.contains(cause) && text.is_empty() == cause.is_empty(), "{text}");
 }
 
 struct Unmutated;

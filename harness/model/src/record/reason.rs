@@ -28,7 +28,7 @@ impl fmt::Display for Divergence {
 }
 
 /// What a trace shows of a likely cause. It decides no verdict.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, Error)]
 #[serde(rename_all = "snake_case")]
 pub enum LoopSymptom {
     #[error("the drive stayed at 0 V although the setpoint was above 0: sign of the amplitude loop?")]
@@ -45,8 +45,18 @@ pub enum LoopSymptom {
          changes while it is sent?"
     )]
     DriveSpike,
-    #[error("the drive stayed at its limit after the amplitude had passed the setpoint: anti-windup of the loop?")]
+    #[error("the command's frequency is far from the start: order, offset or unit (mHz) of the fields of the command?")]
+    FarFrequency,
+    #[error("Wd passed the setpoint after, or while, the drive was at its limit: anti-windup of the loop?")]
     WindUp,
+    #[error("the drive ended at its limit with Wd above the setpoint: sign, unit or order of Wd and Wq in the sample?")]
+    LimitAboveSetpoint,
+    /// Gains of the amplitude loop relative to the design of `docs/wire-protocol.md`.
+    #[error(
+        "the drive follows a PI law with {kp:.3} times Kp and {ki:.3} times Ki of the design in \
+         docs/wire-protocol.md: gains, or the unit of the plate's gain or of the period?"
+    )]
+    FarGains { kp: f64, ki: f64 },
     #[error(
         "the drive switches between 0 V and its limit: gains too large, such as a period in ms or µs instead of s, or \
          a gain of the plate in another unit?"

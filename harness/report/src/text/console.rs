@@ -164,9 +164,12 @@ fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: boo
     let tight = record_queries::tight_steps(record).into_iter();
     let tight: Vec<_> = tight.map(|(scenario, percent)| timing::describe_tight_step(scenario, percent)).collect();
     write_warnings(text, &tight, "a long control step", style, in_full);
-    let symptoms = record_queries::symptoms(record)
-        .map(|(scenario, trial, symptom)| format!("{}: {}", scenario.file, format::symptom(scenario, trial, symptom)));
-    write_warnings(text, &symptoms.collect::<Vec<_>>(), "a likely cause", style, in_full);
+    for ((scenario, trial, symptom), further) in record_queries::symptom_groups(record) {
+        let others =
+            if further > 0 { format!(" and {}", format::count(further, "more scenario")) } else { String::new() };
+        let symptom = format::symptom(scenario, trial, symptom);
+        style.write_wrapped(text, "warning: ", "  ", &format!("{}{others}: {symptom}", scenario.file));
+    }
     if let Some(scale) = record_queries::late_time_scale(record) {
         let hint = format!(
             "with a slower --time-scale, for example {}, bench and line have more time per period; with --clock \

@@ -20,6 +20,8 @@ fn controlled_rows(drive_vpp: f64, offset_hz: f64, resonance_offset_hz: f64) -> 
         t_s: f64::from(number) / 1e3,
         setpoint_um: 2.0,
         amplitude_um: 2.0,
+        wd_um: 2.0,
+        sensed_wd_um: 2.0,
         drive_vpp,
         frequency_hz: start_hz + offset_hz,
         resonance_hz: start_hz + resonance_offset_hz,
@@ -58,31 +60,95 @@ fn a_stopped_controller_has_no_wrong_sign() {
 }
 
 /// Control instants of 1 ms at the setpoint with a drive of 300 Vpp, changed by `change`.
-fn changed_rows(change: impl Fn(usize, &mut Row)) -> Vec<Row> {
+fn changed_rows(mut change: impl FnMut(usize, &mut Row)) -> Vec<Row> {
     let mut rows = controlled_rows(300.0, 0.0, 0.0);
     rows.iter_mut().enumerate().for_each(|(number, row)| change(number, row));
     rows
 }
 
-/// At the limit of 900 Vpp until `until`; the amplitude passes the setpoint at 10.
-fn wound_up(until: usize, peak: f64) -> Vec<Row> {
+/// At the limit from the start on; from `passed` on, Wd is above the setpoint by `peak`.
+fn driven_above(passed: usize, peak: f64) -> Vec<Row> {
     changed_rows(|number, row| {
-        row.drive_vpp = if number < until { 900.0 } else { 300.0 };
-        row.amplitude_um = if number < 10 {
-            1.9
-        } else if number < 20 {
-            2.0 * (1.0 + peak)
+        row.drive_vpp = 900.0;
+        row.wd_um = if number < passed { 1.9 } else { 2.0 * (1.0 + peak) };
+    })
+}
+
+/// A PI law with multiples of the designed Kp and Ki, and an oscillating error that decays.
+fn pi_law(kp: f64, ki: f64) -> Vec<Row> {
+    pi_law_with_offset(kp, ki, 0.0)
+}
+
+fn pi_law_with_offset(kp: f64, ki: f64, offset_um: f64) -> Vec<Row> {
+    let Scenario { plate, controller, .. } = scenario();
+    let period_s = controller.period.seconds();
+    let decay = 1.0 - (-period_s * plate.sigma0).exp();
+    let design = (1.0 - (-3.0 * period_s / 1.9e-3).exp()) / (plate.gain * decay);
+    let mut integral_vpp = 100.0;
+    changed_rows(|number, row| {
+        let error_um = 0.1 * 0.7_f64.powi(number as i32) * (number as f64).cos();
+        row.sensed_wd_um = 2.0 - error_um - offset_um;
+        row.drive_vpp = kp * design * error_um + integral_vpp;
+        integral_vpp += ki * design * decay * error_um;
+    })
+}
+
+/// A loop with one pole, as if both gains were `ratio` times those of the design, and a drive that
+/// changes `factor` times as much.
+fn one_pole(ratio: f64, factor: f64) -> Vec<Row> {
+    let Scenario { plate, controller, .. } = scenario();
+    let period_s = controller.period.seconds();
+    let decay = 1.0 - (-period_s * plate.sigma0).exp();
+    let step = 1.0 - (-3.0 * period_s / 1.9e-3).exp();
+    let (mut error_um, mut integral_vpp) = (0.1, 300.0);
+    changed_rows(|_, row| {
+        let kp = ratio * factor * step / (plate.gain * decay);
+        row.sensed_wd_um = 2.0 - error_um;
+        row.drive_vpp = kp * error_um + integral_vpp;
+        integral_vpp += kp * decay * error_um;
+        error_um *= 1.0 - ratio * step;
+    })
+}
+
+/// `count` periods at a limit of the drive, then an error of `overshoot` beyond the setpoint.
+fn overshoot_after(count: usize, limit_vpp: f64, overshoot: f64) -> Vec<Row> {
+    changed_rows(|number, row| {
+        row.drive_vpp = if number < count { limit_vpp } else { 300.0 };
+        let beyond = if limit_vpp > 0.0 { overshoot } else { -overshoot };
+        let error = if number < count {
+            -0.3 * beyond.signum()
+        } else if number == count {
+            beyond
         } else {
-            2.0
+            0.0
         };
+        row.wd_um = 2.0 * (1.0 + error);
     })
 }
 
 #[rstest]
 #[case::nothing(changed_rows(|_, _| {}), None)]
-#[case::wind_up(wound_up(13, 0.2), Some(LoopSymptom::WindUp))]
-#[case::leaves_the_limit_in_time(wound_up(12, 0.2), None)]
-#[case::passes_the_setpoint_slightly(wound_up(14, 0.049), None)]
+#[case::ends_driven(driven_above(5, 0.051), Some(LoopSymptom::LimitAboveSetpoint))]
+#[case::ends_driven_after_a_long_error(driven_above(51, 0.051), Some(LoopSymptom::WindUp))]
+#[case::ends_driven_slightly_above(driven_above(0, 0.049), None)]
+#[case::far_frequency(changed_rows(|_, row| row.frequency_hz += 2501.0), Some(LoopSymptom::FarFrequency))]
+#[case::frequency_ten_ranges_away(changed_rows(|_, row| row.frequency_hz += 2499.0), Some(LoopSymptom::FrequencyAtLimit))]
+#[case::overshoot_after_the_upper_limit(overshoot_after(3, 900.0, 0.051), Some(LoopSymptom::WindUp))]
+#[case::overshoot_after_0_v(overshoot_after(3, 0.0, 0.051), Some(LoopSymptom::WindUp))]
+#[case::small_overshoot_after_the_limit(overshoot_after(3, 900.0, 0.049), None)]
+#[case::overshoot_after_a_short_limit(overshoot_after(2, 900.0, 0.051), None)]
+#[case::one_pole(one_pole(1.0, 1.0), None)]
+#[case::one_pole_with_another_drive(one_pole(1.6, 1.2), None)]
+#[case::offset_of_the_sample(pi_law_with_offset(1.0, 1.0, 0.04), None)]
+#[case::designed_gains(pi_law(1.0, 1.0), None)]
+#[case::near_gains(pi_law(1.49, 0.67), None)]
+#[case::a_setpoint_that_moves(
+    pi_law(2.0, 2.0).into_iter().enumerate().map(|(number, row)| Row {
+        setpoint_um: 2.0 + number as f64,
+        ..row
+    }).collect(),
+    None
+)]
 #[case::spike(changed_rows(|number, row| if number == 30 { row.drive_vpp = 600.0 }), Some(LoopSymptom::DriveSpike))]
 #[case::two_samples(changed_rows(|number, row| if number / 2 == 15 { row.drive_vpp = 600.0 }), None)]
 #[case::small_spike(changed_rows(|number, row| if number == 30 { row.drive_vpp = 569.0 }), None)]
@@ -95,6 +161,39 @@ fn wound_up(until: usize, peak: f64) -> Vec<Row> {
 )]
 fn names_a_likely_cause(#[case] rows: Vec<Row>, #[case] expected: Option<LoopSymptom>) {
     assert_eq!(detect(&rows), expected);
+}
+
+#[rstest]
+#[case::large_kp(1.51, 1.0)]
+#[case::small_kp(0.66, 1.0)]
+#[case::large_ki(1.0, 1.51)]
+#[case::small_ki(1.0, 0.66)]
+#[case::no_ki(1.0, 0.0)]
+fn finds_the_gains_of_a_pi_law(#[case] expected_kp: f64, #[case] expected_ki: f64) {
+    let Some(LoopSymptom::FarGains { kp, ki }) = detect(&pi_law(expected_kp, expected_ki)) else {
+        panic!("no gains found")
+    };
+    assert!((kp - expected_kp).abs() < 1e-6 && (ki - expected_ki).abs() < 1e-6, "{kp} {ki}");
+}
+
+#[test]
+fn finds_the_gains_of_a_loop_with_one_pole() {
+    let Some(LoopSymptom::FarGains { kp, ki }) = detect(&one_pole(1.6, 1.05)) else { panic!("no gains found") };
+    assert!((kp - 1.68).abs() < 1e-6 && (ki - 1.68).abs() < 1e-6, "{kp} {ki}");
+}
+
+#[test]
+fn the_answer_to_a_sample_acts_after_the_loop_delay() {
+    let late: Vec<Row> = pi_law(2.0, 0.5)
+        .windows(2)
+        .flat_map(|rows| {
+            let [before, row] = rows else { return Vec::new() };
+            let answer = Row { t_s: row.t_s + 3e-4, flags: Flags::empty(), ..*row };
+            vec![Row { drive_vpp: before.drive_vpp, ..*row }, answer]
+        })
+        .collect();
+    let Some(LoopSymptom::FarGains { kp, ki }) = detect(&late) else { panic!("no gains found") };
+    assert!((kp - 2.0).abs() < 1e-6 && (ki - 0.5).abs() < 1e-6, "{kp} {ki}");
 }
 
 #[test]
