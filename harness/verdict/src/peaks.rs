@@ -88,10 +88,13 @@ pub fn rows_with_extremes(
         }
         let motion = Motion::new(&poles, TAU * row.frequency_hz, row.drive_vpp, w, fast);
         let seconds = next.t_s - row.t_s;
+        let next_fast = last.fast_after(&motion, seconds);
         if let Some(range) = ranges.at(number) {
-            motion.push_extremes(row, signal, seconds, range, &mut extended);
+            let next_w = Complex64::new(next.wd_um, next.wq_um);
+            let ends = [w - fast, next_w - next_fast].map(|slow| slow + motion.fast_rest);
+            motion.push_extremes(row, signal, seconds, ends, range, &mut extended);
         }
-        fast = last.fast_after(&motion, seconds);
+        fast = next_fast;
     }
     Some(extended)
 }
@@ -327,38 +330,39 @@ impl Motion {
         self.slow_rest + self.fast_rest + amplitude * (pole * seconds).exp()
     }
 
-    /// Bounds of the signal in `seconds`, and of its negative: those of the chord of the slow part,
-    /// the distance of the slow part from it, `t²|W''|/8`, and the fast part.
-    fn bounds(&self, signal: BandSignal, seconds: f64) -> [f64; 2] {
+    /// Bounds of the signal from `t` on for `seconds`, and of its negative: those of the chord of the
+    /// slow part from `start` to `end`, its distance from the chord, `t²|W''|/8`, and the fast part.
+    fn bounds(&self, signal: BandSignal, t: f64, seconds: f64, [start, end]: [Complex64; 2]) -> [f64; 2] {
         let [amplitude, pole] = self.slow;
-        let [start, end] = [0.0, seconds].map(|t| self.slow_after(t));
         let ends = [start, end].map(|w| value_of(signal, w));
         let lowest = match signal {
             BandSignal::Amplitude => distance_from_zero(start, end),
             _ => ends[0].min(ends[1]),
         };
-        let reach = (seconds * pole.norm()).powi(2) / 8.0 * amplitude.norm() + self.fast[0].norm();
+        // Both parts decay.
+        let decay = if t == 0.0 { 1.0 } else { (pole.re * t).exp() };
+        let sizes = [amplitude, self.fast[0]].map(|part| part.norm_sqr().sqrt());
+        let reach = decay * (seconds * seconds * pole.norm_sqr() / 8.0 * sizes[0] + sizes[1]);
         [ends[0].max(ends[1]) + reach, reach - lowest]
     }
 
-    /// Adds rows at the extremes between `row` and the next one, `seconds` later.
+    /// Adds rows at the extremes between `row` and the next one, `seconds` later. `ends` are the slow
+    /// part at both.
     fn push_extremes(
         &self,
         row: &Row,
         signal: BandSignal,
         seconds: f64,
+        ends: [Complex64; 2],
         range: &mut SetpointRange,
         rows: &mut Vec<Row>,
     ) {
         let mut found = Vec::new();
-        for (sign, bound) in [1.0, -1.0].into_iter().zip(self.bounds(signal, seconds)) {
-            let limit = range.limit(sign);
-            if bound <= limit {
-                continue;
-            }
-            let (t, largest) = largest_at(|t| sign * value_of(signal, self.after(t)), seconds, self.fastest(seconds));
-            if largest > limit + ROUNDING_UM {
-                range.raise(sign, largest);
+        for (sign, bound) in [1.0, -1.0].into_iter().zip(self.bounds(signal, 0.0, seconds, ends)) {
+            let mut search = Search { motion: self, signal, sign, largest: range.limit(sign), at: None };
+            search.visit(0.0, seconds, ends, bound);
+            if let Some(t) = search.at {
+                range.raise(sign, search.largest);
                 found.push(t);
             }
         }
@@ -366,9 +370,48 @@ impl Motion {
         rows.extend(found.into_iter().map(|t| row_at(row, row.t_s + t, self.after(t))));
     }
 
-    /// Largest angular frequency of the motion, rad/s; at least half a period in `seconds`.
-    fn fastest(&self, seconds: f64) -> f64 {
-        self.fast[1].im.abs().max(self.slow[1].norm()).max(PI / seconds)
+    /// Period of the fastest oscillation, s.
+    fn shortest_period(&self) -> f64 {
+        TAU / self.fast[1].im.abs().max(self.slow[1].norm())
+    }
+}
+
+/// Searches the largest value of `sign` times the signal between two rows, by bisection. Parts whose
+/// bound does not exceed the largest value so far are not searched.
+struct Search<'a> {
+    motion: &'a Motion,
+    signal: BandSignal,
+    sign: f64,
+    largest: f64,
+    /// Instant of `largest` after the row, s; `None` if no value exceeds the first one.
+    at: Option<f64>,
+}
+
+impl Search<'_> {
+    /// `ends` are the slow part at `from` and at `to`, and `bound` is the bound between them.
+    fn visit(&mut self, from: f64, to: f64, ends: [Complex64; 2], bound: f64) {
+        if bound <= self.largest + ROUNDING_UM {
+            return;
+        }
+        if to - from <= self.motion.shortest_period() {
+            let value = |t| self.sign * value_of(self.signal, self.motion.after(t));
+            let (t, largest) = largest_between(value, from, to);
+            if largest > self.largest + ROUNDING_UM {
+                (self.largest, self.at) = (largest, Some(t));
+            }
+            return;
+        }
+        let middle = f64::midpoint(from, to);
+        let [start, end] = ends;
+        let centre = self.motion.slow_after(middle);
+        let sign = usize::from(self.sign < 0.0);
+        let mut parts = [(from, middle, [start, centre]), (middle, to, [centre, end])]
+            .map(|(from, to, ends)| (from, to, ends, self.motion.bounds(self.signal, from, to - from, ends)[sign]));
+        // The larger bound first, so that the other part is probably not searched.
+        parts.sort_by(|one, other| other.3.total_cmp(&one.3));
+        for (from, to, ends, bound) in parts {
+            self.visit(from, to, ends, bound);
+        }
     }
 }
 
@@ -379,21 +422,29 @@ fn distance_from_zero(start: Complex64, end: Complex64) -> f64 {
     (start + chord * along.clamp(0.0, 1.0)).norm()
 }
 
-/// Instant and size of the largest value in `seconds`, by a scan and by sections in the golden
-/// ratio. `fastest` is the largest angular frequency of the value, rad/s.
-fn largest_at(value: impl Fn(f64) -> f64, seconds: f64, fastest: f64) -> (f64, f64) {
-    let count = (seconds * fastest / TAU * POINTS_PER_PERIOD).ceil().clamp(POINTS_PER_PERIOD, 1e6);
-    let step = seconds / count;
-    let points = (0..=count as u32).map(|number| f64::from(number) * step);
-    let (best, _) = points.fold((0.0, f64::NEG_INFINITY), |best, t| {
+/// Instant and size of the largest value, by a scan and by sections in the golden ratio. The value
+/// has at most one period between `from` and `to`.
+fn largest_between(value: impl Fn(f64) -> f64, from: f64, to: f64) -> (f64, f64) {
+    let step = (to - from) / POINTS_PER_PERIOD;
+    let points = (0..=POINTS_PER_PERIOD as u32).map(|number| from + f64::from(number) * step);
+    let (best, _) = points.fold((from, f64::NEG_INFINITY), |best, t| {
         let here = value(t);
         if here > best.1 { (t, here) } else { best }
     });
-    let (mut low, mut high) = ((best - step).max(0.0), (best + step).min(seconds));
+    let (mut low, mut high) = ((best - step).max(from), (best + step).min(to));
+    let section = |low: f64, high: f64| GOLDEN_RATIO * (high - low);
+    let [mut left, mut right] = [high - section(low, high), low + section(low, high)];
+    let [mut at_left, mut at_right] = [value(left), value(right)];
     for _ in 0..GOLDEN_STEPS {
-        let section = GOLDEN_RATIO * (high - low);
-        let (left, right) = (high - section, low + section);
-        if value(left) < value(right) { low = left } else { high = right }
+        if at_left < at_right {
+            (low, left, at_left) = (left, right, at_right);
+            right = low + section(low, high);
+            at_right = value(right);
+        } else {
+            (high, right, at_right) = (right, left, at_left);
+            left = high - section(low, high);
+            at_left = value(left);
+        }
     }
     let t = f64::midpoint(low, high);
     (t, value(t))
