@@ -31,7 +31,7 @@ use std::time::{Duration, Instant};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  platebench campaign run scenarios/campaigns/laws.toml --out C
+  platebench campaign run scenarios/campaigns/laws-delay-force.toml --out C
   platebench campaign run my.toml --out C --rig own='exec:./controller {port}' --rig reference=hosted
   platebench campaign plan my.toml --out C --shards 64
   platebench campaign play C --shard 7             on any machine that sees C
@@ -41,8 +41,8 @@ Examples:
 
 Exit codes: 0 passed, or a complete map (play: the shard is complete), 1 failed, 2 invalid input,
 or a damaged or foreign part or plan, 3 inconclusive, or a shard is missing, 4 no trial applies to
-the controller, 5 the rig could not be reached or was lost. A grid without [judge] and without a requirement is a map: its failing trials
-are counted and do not fail it")]
+the controller, 5 the rig could not be reached or was lost. A grid without [judge] and without a
+requirement is a map: its failing trials are counted and do not fail it")]
 pub(crate) struct CampaignArgs {
     #[command(subcommand)]
     command: CampaignCommand,

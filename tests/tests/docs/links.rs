@@ -73,6 +73,20 @@ fn every_named_path_exists() {
 }
 
 #[test]
+fn every_scenario_in_the_help_exists() {
+    let page = DocumentPage::read(Path::new("docs/reference-commands.md"));
+    let words = page.blocks.iter().flat_map(|block| block.text.split_whitespace());
+    let paths: Vec<_> = words
+        .map(|word| word.trim_matches(|letter: char| !letter.is_alphanumeric() && letter != '/'))
+        // `platebench new` writes this one.
+        .filter(|word| word.starts_with("scenarios/") && !word.ends_with("first-step.toml"))
+        .collect();
+    let missing: Vec<_> = paths.iter().filter(|path| !workspace_root().join(path).exists()).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+    assert!(paths.len() > 5, "{paths:?}");
+}
+
+#[test]
 fn finds_links_without_a_target() {
     let page = DocumentPage { file: "docs/verdicts.md".into(), ..DocumentPage::default() };
     for good in ["#metrics", "verdicts.md", "report.md#plots", "examples/controller.py", "https://example.org/#x"] {

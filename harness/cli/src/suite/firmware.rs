@@ -45,7 +45,8 @@ Examples:
   platebench suite coverage scenarios/paper --lcov coverage.info
   platebench suite coverage --rig emulated:firmware.elf --only src/control --at-least 90
 
-Exit codes: 0 measured, 1 fewer lines than --at-least were executed, 2 invalid input or a scenario fails")]
+Exit codes: 0 measured, 1 fewer lines than --at-least were executed, 2 invalid input or a scenario
+fails, 4 nothing to run, 5 the controller did not confirm 0 V")]
 pub(super) struct CoverageArgs {
     #[command(flatten)]
     suite: FirmwareSuiteArgs,
@@ -120,7 +121,8 @@ Examples:
   platebench suite mutate --law dq-pi --until-width 5
   platebench suite mutate scenarios/paper --rig emulated:firmware.elf --function control_step --at-least 90
 
-Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario fails without mutants")]
+Exit codes: 0 measured, 1 the mutation score is below --at-least, 2 invalid input or a scenario
+fails without mutants, 4 nothing to run, 5 the controller did not confirm 0 V")]
 pub(super) struct MutateArgs {
     #[command(flatten)]
     suite: FirmwareSuiteArgs,
