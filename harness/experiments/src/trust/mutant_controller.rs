@@ -135,7 +135,8 @@ impl<L: Link> MutantController<L> {
             return kept.map_or(Ok(Duration::ZERO), |bytes| self.exchange_raw(now, &bytes));
         };
         match packet.message {
-            Message::Configure(_) => self.outgoing.clear(),
+            // Late commands of the configuration before are not sent. Earlier answers are.
+            Message::Configure(_) => self.outgoing.retain(|(due, _)| *due <= now),
             Message::Sample(_) => {
                 if let Some(own) = self.mutant.before_sample(packet.sequence) {
                     self.exchange_raw(now, own.encode().as_bytes())?;
@@ -233,4 +234,33 @@ impl<L: Link> Link for MutantController<L> {
 
 fn decode(frame: &[u8]) -> Option<Packet> {
     PacketReader::new().packets(frame).next().and_then(Result::ok)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_rig::HostedLink;
+    use platebench_test_kit::CONFIGURE;
+    use platebench_wire::Sample;
+
+    /// Five rejected frames stop the controller, which reports it before the configuration.
+    #[test]
+    fn sends_the_report_of_a_stop_before_a_configuration_in_the_same_bytes() {
+        let configure = Packet { sequence: 1, message: Message::Configure(CONFIGURE) };
+        let sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
+        let sample = Packet { sequence: 2, message: Message::Sample(sample) };
+        let noise = [[1, 1, 0]; 5].concat();
+        let rejected_and_configure = [&noise[..], configure.encode().as_bytes()].concat();
+        let answers = |link: &mut dyn Link| {
+            let mut answer = Vec::new();
+            for bytes in [configure.encode().as_bytes(), sample.encode().as_bytes(), &rejected_and_configure] {
+                link.exchange(Duration::ZERO, bytes, &mut answer).unwrap();
+            }
+            PacketReader::new().packets(&answer).flatten().collect::<Vec<_>>()
+        };
+        let expected = answers(&mut HostedLink::new());
+        assert_eq!(expected.len(), 4, "{expected:?}");
+        let unchanged = || -> Box<dyn Mutant> { Box::new(|_: &mut Message| {}) };
+        assert_eq!(answers(&mut MutantController::new(HostedLink::new(), unchanged)), expected);
+    }
 }
