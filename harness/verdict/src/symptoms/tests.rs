@@ -2,6 +2,7 @@ use super::*;
 use platebench_model::record::NonFiniteDrive;
 use platebench_test_kit::{PLATE, parse_scenario};
 use rstest::rstest;
+use std::cmp::Ordering;
 
 fn scenario() -> Scenario {
     let text = "title = \"Synthetic\"\nplate = \"plate.toml\"\nduration_ms = 120.0\n[profile]\nsetpoint_um = 2.0\n\
@@ -86,7 +87,7 @@ fn pi_law_with_offset(kp: f64, ki: f64, offset_um: f64) -> Vec<Row> {
     let design = (1.0 - (-3.0 * period_s / 1.9e-3).exp()) / (plate.gain * decay);
     let mut integral_vpp = 100.0;
     changed_rows(|number, row| {
-        let error_um = 0.1 * 0.7_f64.powi(number as i32) * (number as f64).cos();
+        let error_um = 0.1 * 0.7_f64.powf(number as f64) * (number as f64).cos();
         row.sensed_wd_um = 2.0 - error_um - offset_um;
         row.drive_vpp = kp * design * error_um + integral_vpp;
         integral_vpp += ki * design * decay * error_um;
@@ -115,12 +116,10 @@ fn overshoot_after(count: usize, limit_vpp: f64, overshoot: f64) -> Vec<Row> {
     changed_rows(|number, row| {
         row.drive_vpp = if number < count { limit_vpp } else { 300.0 };
         let beyond = if limit_vpp > 0.0 { overshoot } else { -overshoot };
-        let error = if number < count {
-            -0.3 * beyond.signum()
-        } else if number == count {
-            beyond
-        } else {
-            0.0
+        let error = match number.cmp(&count) {
+            Ordering::Less => -0.3 * beyond.signum(),
+            Ordering::Equal => beyond,
+            Ordering::Greater => 0.0,
         };
         row.wd_um = 2.0 * (1.0 + error);
     })
