@@ -19,6 +19,9 @@ use std::time::Duration;
 
 const DEFAULT_ENVELOPE: &str = "scenarios/envelope.toml";
 
+/// A controller with its own clock waits for most of a scene, for example for its watchdog.
+const JOBS_PER_CORE_OF_OWN_CLOCKS: usize = 3;
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -49,7 +52,7 @@ pub(super) struct ExploreArgs {
     /// Seed; the scenes depend on it, on the envelope and on what earlier rounds of 64 reached
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
-    /// Scenes that are played at once; default: one per core
+    /// Scenes that are played at once; default: one per core, three if the controller has its own clock
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
     /// Compare every command with this project's implementation of the law on the PC
@@ -120,7 +123,11 @@ fn prepare(arguments: &ExploreArgs, detail: Detail) -> Result<ExploreSession, Fa
     } else {
         Vec::new()
     };
-    let jobs = if arguments.rig.allows_parallel_links() { job_count(arguments.jobs) } else { 1 };
+    let jobs = match arguments.jobs {
+        _ if !arguments.rig.allows_parallel_links() => 1,
+        None if arguments.rig.has_own_clock() => JOBS_PER_CORE_OF_OWN_CLOCKS * job_count(None),
+        jobs => job_count(jobs),
+    };
     let time = arguments.time.unwrap_or(Duration::from_mins(1));
     let budget = arguments.scenes.map_or(
         platebench_experiments::explore::ExplorationBudget::Time(time),
