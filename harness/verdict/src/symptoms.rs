@@ -1,9 +1,11 @@
 //! Names a likely cause of a bad trace (`docs/verdicts.md`). A symptom decides no verdict.
 
 use crate::divergence::switches_between_limits;
+use platebench_controller::design::{PiGains, closed_loop_pole, default_response_time_s};
 use platebench_model::record::{LoopSymptom, Telemetry};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{Flags, Row};
+use platebench_wire::LawId;
 
 /// Least number of control periods that show a symptom.
 const MIN_PERIODS: usize = 10;
@@ -37,8 +39,6 @@ const SAME_RATIO: f64 = 0.1;
 const UNEXPLAINED: f64 = 0.01;
 /// Gains are far from the design if one is larger or smaller by this factor.
 const GAIN_FACTOR: f64 = 1.5;
-/// 5 % response time of the design without a configured one, s (`docs/wire-protocol.md`).
-const RESPONSE_S: f64 = 1.9e-3;
 
 pub(crate) fn detect_symptom(scenario: &Scenario, rows: &[Row], telemetry: &Telemetry) -> Option<LoopSymptom> {
     if telemetry.unused_fpu {
@@ -192,29 +192,35 @@ fn fit_gains(scenario: &Scenario, rows: &[Row]) -> Option<[f64; 2]> {
         })
         .map(|[before, step]| [step.error_um - before.error_um, before.error_um, step.drive_vpp - before.drive_vpp])
         .collect();
+    if changes.len() < MIN_CHANGES {
+        return None;
+    }
     let sum = |product: &dyn Fn(&[f64; 3]) -> f64| changes.iter().map(product).sum::<f64>();
     let mean = [0, 1, 2].map(|column: usize| sum(&|change| change[column]) / changes.len() as f64);
     let moment = |one: usize, other: usize| sum(&|change| (change[one] - mean[one]) * (change[other] - mean[other]));
     let [pp, pi, ii] = [moment(0, 0), moment(0, 1), moment(1, 1)];
     let [up, ui, uu] = [moment(2, 0), moment(2, 1), moment(2, 2)];
     let plate = scenario.controller.design_plate.as_ref().unwrap_or(&scenario.plate);
-    let response_s = scenario.controller.response_time_ms.map_or(RESPONSE_S, |ms| ms * 1e-3);
-    let decay = 1.0 - (-period_s * plate.sigma0).exp();
-    let step = 1.0 - (-3.0 * period_s / response_s).exp();
-    let design_kp = step / (plate.gain * decay);
+    let response_time_ms = scenario.controller.response_time_ms;
+    let response_s = response_time_ms.map_or(default_response_time_s(LawId::DqPi), |ms| ms * 1e-3);
+    let PiGains { proportional, integral_per_period } =
+        PiGains::zero_order_hold_matched(plate.gain, 1.0 / plate.sigma0, response_s, period_s);
     let determinant = pp * ii - pi * pi;
     let [kp, ki] = if determinant > MIN_SEPARATION * pp * ii {
-        [(up * ii - ui * pi) / determinant / design_kp, (ui * pp - up * pi) / determinant / (design_kp * decay)]
+        let [kp, ki_t] = [(up * ii - ui * pi) / determinant, (ui * pp - up * pi) / determinant];
+        [kp / proportional, ki_t / integral_per_period]
     } else {
-        let ratio = (up + decay * ui) / (pp + 2.0 * decay * pi + decay * decay * ii) / design_kp;
-        let ratio_of_pole = -pi / ii / step;
+        let square = proportional * (proportional * pp + 2.0 * integral_per_period * pi)
+            + integral_per_period * integral_per_period * ii;
+        let ratio = (proportional * up + integral_per_period * ui) / square;
+        let ratio_of_pole = -pi / ii / (1.0 - closed_loop_pole(response_s, period_s));
         if (ratio / ratio_of_pole - 1.0).abs() > SAME_RATIO {
             return None;
         }
         [ratio, ratio]
     };
-    let unexplained = uu - design_kp * (kp * up + ki * decay * ui);
-    (changes.len() >= MIN_CHANGES && unexplained <= UNEXPLAINED * uu).then_some([kp, ki])
+    let unexplained = uu - kp * proportional * up - ki * integral_per_period * ui;
+    (unexplained <= UNEXPLAINED * uu).then_some([kp, ki])
 }
 
 /// True if the amplitude stays off the setpoint at the end and the drive does not move.
