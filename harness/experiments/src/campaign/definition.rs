@@ -166,16 +166,16 @@ impl Campaign {
         let keys: Vec<_> =
             variables.iter().map(|variable| (&*variable.key, variable.distribution.is_normal())).collect();
         let correlation = Correlation::new(&raw.correlate, &keys);
-        let correlation = correlation.map_err(|message| [checker.file.problem("correlate", message)]);
-        let correlation = checker.file.accept(correlation);
-        let confirm = checker.confirming_rig(&raw.plan).map_err(|problem| [problem]);
-        let confirm = checker.file.accept(confirm);
-        let counts = checker.counts(&raw.plan, &variables).map_err(|problem| [problem]);
-        let counts = checker.file.accept(counts);
+        let correlation = correlation.map_err(|message| checker.file.problem("correlate", message));
+        let correlation = checker.file.accept_one(correlation);
+        let confirm = checker.confirming_rig(&raw.plan);
+        let confirm = checker.file.accept_one(confirm);
+        let counts = checker.counts(&raw.plan, &variables);
+        let counts = checker.file.accept_one(counts);
         let (Some(template), Some([trials, cells]), Some(correlation), Some(confirm), false) =
             (template, counts, correlation, confirm, checker.file.has_problems())
         else {
-            return Err(checker.file.finish().err().unwrap_or_default());
+            return Err(checker.file.into_problems());
         };
         let is_judged = raw.judge.is_some()
             || template.scenario.expectations.iter().any(|expectation| expectation.requirement.is_some());

@@ -148,10 +148,10 @@ impl Envelope {
         let plate_path = checker.neighbour(&raw.plate);
         let plate = checker.accept(load::load_plate(&plate_path));
         if let Some(plate) = &plate {
-            checker.accept(load::require_no_effects(&plate_path, plate, "explore").map_err(|problem| [problem]));
+            checker.accept_one(load::require_no_effects(&plate_path, plate, "explore"));
         }
+        let Some(plate) = plate else { return Err(checker.into_problems()) };
         let mut digest = Sha256::new_with_prefix(checker.finish()?);
-        let Some(plate) = plate else { return Err(Vec::new()) };
         digest.update(format!("{plate:?}"));
         let (title, range, count) = (raw.title, raw.range, raw.count);
         Ok(Self { path: path.to_owned(), title, plate, range, count, digest: digest.finalize().into() })

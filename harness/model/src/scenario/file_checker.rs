@@ -50,8 +50,12 @@ impl FileChecker {
     }
 
     pub fn require_one_line(&mut self, key: &str, text: &str) {
-        let is_one_line = !text.trim().is_empty() && !text.contains(char::is_control);
-        self.require(is_one_line, key, || format!("{text:?}, expected one line of text"));
+        self.problems.extend(not_one_line(text).map(|message| self.problem(key, message)));
+    }
+
+    /// Returns the value, or adds the problem.
+    pub fn accept_one<T>(&mut self, result: Result<T, Diagnostic>) -> Option<T> {
+        self.accept(result.map_err(|problem| [problem]))
     }
 
     /// Returns the value, or adds the problems.
@@ -67,8 +71,18 @@ impl FileChecker {
         !self.problems.is_empty()
     }
 
+    pub fn into_problems(self) -> Vec<Diagnostic> {
+        self.problems
+    }
+
     /// Returns the text of the file, or all problems.
     pub fn finish(self) -> Result<String, Vec<Diagnostic>> {
         if self.problems.is_empty() { Ok(self.text) } else { Err(self.problems) }
     }
+}
+
+/// Returns a message if `text` is not one line.
+pub(super) fn not_one_line(text: &str) -> Option<String> {
+    let is_one_line = !text.trim().is_empty() && !text.contains(char::is_control);
+    (!is_one_line).then(|| format!("{text:?}, expected one line of text"))
 }

@@ -3,6 +3,7 @@
 use crate::scenario::definition::InputFile;
 use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS, suggestion};
 use crate::scenario::fault::Fault;
+use crate::scenario::file_checker::not_one_line;
 use crate::scenario::matrix::Source;
 use crate::scenario::parse::{decode_text, parse, read_text};
 use crate::scenario::window::ProfileChanges;
@@ -80,8 +81,7 @@ impl<'a> Checker<'a> {
     }
 
     pub(super) fn one_line(&self, key: &str, text: &str) -> Result<(), Diagnostic> {
-        let is_one_line = !text.trim().is_empty() && !text.contains(char::is_control);
-        self.require(is_one_line, key, || format!("{text:?}, expected one line of text"))
+        not_one_line(text).map_or(Ok(()), |message| self.error(key, message))
     }
 
     pub(super) fn f32_range(&self, key: &str, value: f64) -> Result<f64, Diagnostic> {
