@@ -414,7 +414,7 @@ pub(crate) fn not_applicable_groups(record: &RunRecord) -> Vec<NotApplicableGrou
             None => groups.push(NotApplicableGroup { reason, expectations, unplayed }),
         }
     }
-    groups.sort_by_key(|group| std::cmp::Reverse(group.expectations));
+    groups.sort_by_key(|group| Reverse(group.expectations));
     groups
 }
 

@@ -164,7 +164,12 @@ fn write_hints(text: &mut String, record: &RunRecord, style: Style, in_full: boo
     let tight = record_queries::tight_steps(record).into_iter();
     let tight: Vec<_> = tight.map(|(scenario, percent)| timing::describe_tight_step(scenario, percent)).collect();
     write_warnings(text, &tight, "a long control step", style, in_full);
-    for ((scenario, trial, symptom), further) in record_queries::symptom_groups(record) {
+    let symptoms = if in_full {
+        record_queries::symptoms(record).map(|found| (found, 0)).collect()
+    } else {
+        record_queries::symptom_groups(record)
+    };
+    for ((scenario, trial, symptom), further) in symptoms {
         let others =
             if further > 0 { format!(" and {}", format::count(further, "more scenario")) } else { String::new() };
         let symptom = format::symptom(scenario, trial, symptom);
