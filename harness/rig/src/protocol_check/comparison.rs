@@ -342,8 +342,8 @@ impl<'a> ScriptComparison<'a> {
         breaks(
             NO_MEMORY,
             format!(
-                "{answer}, but after an earlier configuration with the same samples, or all in proportion to the limit, \
-             {earlier}"
+                "{answer}, but after an earlier configuration with the same samples, or all in proportion to the \
+                 limit, {earlier}"
             ),
         )
     }

@@ -131,7 +131,10 @@ fn overshoot_after(count: usize, limit_vpp: f64, overshoot: f64) -> Vec<Row> {
 #[case::ends_driven_after_a_long_error(driven_above(51, 0.051), Some(LoopSymptom::WindUp))]
 #[case::ends_driven_slightly_above(driven_above(0, 0.049), None)]
 #[case::far_frequency(changed_rows(|_, row| row.frequency_hz += 2501.0), Some(LoopSymptom::FarFrequency))]
-#[case::frequency_ten_ranges_away(changed_rows(|_, row| row.frequency_hz += 2499.0), Some(LoopSymptom::FrequencyAtLimit))]
+#[case::frequency_ten_ranges_away(
+    changed_rows(|_, row| row.frequency_hz += 2499.0),
+    Some(LoopSymptom::FrequencyAtLimit)
+)]
 #[case::overshoot_after_the_upper_limit(overshoot_after(3, 900.0, 0.051), Some(LoopSymptom::WindUp))]
 #[case::overshoot_after_0_v(overshoot_after(3, 0.0, 0.051), Some(LoopSymptom::WindUp))]
 #[case::small_overshoot_after_the_limit(overshoot_after(3, 900.0, 0.049), None)]
