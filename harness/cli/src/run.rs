@@ -11,8 +11,9 @@ use crate::selection::{check_not_empty, keep_last_failed, note_skipped, nothing_
 use crate::{shutdown, stdio};
 use platebench_document::format::count;
 use platebench_engine::Clock;
+use platebench_model::input;
 use platebench_model::quoted_path;
-use platebench_model::scenario::{Diagnostic, Scenario, find, input, list_files};
+use platebench_model::scenario::{Diagnostic, Scenario, find, list_files};
 use platebench_report::Detail;
 use platebench_report::scenario_list::ScenarioList;
 use play::Selection;

@@ -4,11 +4,11 @@
 use crate::options::OutputFormat;
 use clap::{Args, ColorChoice, ValueEnum};
 use platebench_document::{Document, Style};
+use platebench_model::input::STANDARD_STREAM;
 use platebench_model::printable::{printable, printable_lines};
 use platebench_model::record::RunRecord;
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::write_named_by_user;
-use platebench_plate::input::STANDARD_STREAM;
 use platebench_report::{Detail, console};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;

@@ -7,7 +7,7 @@
 
 #![expect(clippy::disallowed_methods, reason = "the module that writes files")]
 
-pub use platebench_plate::input::{open_regular_file, read_regular_file, read_text_file};
+pub use crate::input::{open_regular_file, read_regular_file, read_text_file};
 use rustix::fs::{AtFlags, Dir, FileType, Mode, OFlags, RenameFlags};
 use rustix::io::Errno;
 use std::ffi::{OsStr, OsString};

@@ -4,6 +4,7 @@
 
 pub mod external_csv;
 mod files;
+pub mod input;
 pub mod metrics;
 pub mod printable;
 mod quote;
@@ -83,7 +84,7 @@ pub mod scenario {
     pub use message::{ConfigurationChange, NonFinite, ScenarioMessage, WireNumber};
     pub use own_law::{NotApplicableExpectation, OWN_LAW, number_in_file};
     pub use parse::{parse, parse_bytes, read_text};
-    pub use platebench_plate::{Time, input};
+    pub use platebench_plate::Time;
     pub use trusted_file::{TRUSTED_FOLDERS_VARIABLE, find_trusted_file_above};
     pub use warnings::{plate_warnings, scenario_warnings};
     pub use window::{ChangingProfile, Window};

@@ -12,7 +12,6 @@ mod demodulator;
 mod effect;
 mod effects;
 mod flow;
-pub mod input;
 mod mode;
 mod motion;
 mod phase;

@@ -1,7 +1,6 @@
-//! Reads and checks the profiles of a scenario file, and evaluates a setpoint, a temperature offset
-//! or a finger force over time.
+//! Checks the profiles of a scenario file, and evaluates a setpoint, a temperature offset or a finger
+//! force over time.
 
-use crate::input;
 use crate::time::Time;
 use schemars::JsonSchema;
 use serde::de::value::MapAccessDeserializer;
@@ -216,10 +215,6 @@ pub enum ProfileError {
     Square,
     #[error("a period of {period_ms} ms gives {points} points in the trial, expected at most {MAX_REPEATED_POINTS}")]
     Repeated { period_ms: f64, points: u64 },
-    #[error("{}: {source}", path.display())]
-    Csv { path: PathBuf, source: csv::Error },
-    #[error("{}: columns {first} and {second} both have the title `{title}`, expected one", path.display())]
-    DuplicateColumn { path: PathBuf, title: &'static str, first: usize, second: usize },
 }
 
 impl RawProfile {
@@ -242,14 +237,14 @@ impl RawProfile {
         }
     }
 
-    /// A CSV path is relative to `folder`. Repeated points and a chirp end with the trial, after
-    /// `duration`. Fails at the first invalid point.
-    pub fn check(&self, folder: &Path, duration: Time) -> Result<Profile, ProfileError> {
+    /// `file_points` are the points of a CSV profile; other profiles do not use them. Repeated points
+    /// and a chirp end with the trial, after `duration`. Fails at the first invalid point.
+    pub fn check(&self, file_points: &[[f64; 2]], duration: Time) -> Result<Profile, ProfileError> {
         match self {
             Self::Number(value) => points(&[[0.0, *value]]).map(Profile::Hold),
             Self::Shape(RawShape::Hold(raw)) => points(raw).map(Profile::Hold),
             Self::Shape(RawShape::Linear(raw)) => points(raw).map(Profile::Linear),
-            Self::Shape(RawShape::Csv(path)) => points(&read_points(&folder.join(path))?).map(Profile::Linear),
+            Self::Shape(RawShape::Csv(_)) => points(file_points).map(Profile::Linear),
             Self::Shape(RawShape::Sine(raw)) => {
                 let numbers = [raw.mean, raw.amplitude, raw.frequency_hz, raw.phase_deg];
                 if !numbers.iter().all(|number| number.is_finite()) || raw.frequency_hz <= 0.0 {
@@ -364,25 +359,6 @@ fn points(raw: &[[f64; 2]]) -> Result<Vec<(Time, f64)>, ProfileError> {
         points.push((time, value));
     }
     if points.is_empty() { Err(ProfileError::Empty) } else { Ok(points) }
-}
-
-fn read_points(path: &Path) -> Result<Vec<[f64; 2]>, ProfileError> {
-    #[derive(Deserialize)]
-    struct Row {
-        t_ms: f64,
-        value: f64,
-    }
-    let with_path = |source| ProfileError::Csv { path: path.to_owned(), source };
-    let content = input::read(path).map_err(|error| with_path(error.into()))?;
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).comment(Some(b'#')).from_reader(&content[..]);
-    let header = reader.headers().map_err(with_path)?.clone();
-    for title in ["t_ms", "value"] {
-        let mut places = (1..).zip(&header).filter(|(_, other)| *other == title).map(|(place, _)| place);
-        if let (Some(first), Some(second)) = (places.next(), places.next()) {
-            return Err(ProfileError::DuplicateColumn { path: path.to_owned(), title, first, second });
-        }
-    }
-    reader.deserialize::<Row>().map(|row| row.map(|row| [row.t_ms, row.value]).map_err(with_path)).collect()
 }
 
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,8 @@
 //! Writes the scenario that verifies gains on a rig.
 
 use crate::tuning::design::TuningTarget;
-use platebench_model::scenario::{Diagnostic, Scenario, input, load};
+use platebench_model::input;
+use platebench_model::scenario::{Diagnostic, Scenario, load};
 use platebench_model::trace::write_atomically;
 use platebench_wire::{Gains, LawId};
 use serde_json::json;

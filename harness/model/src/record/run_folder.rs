@@ -1,5 +1,6 @@
 //! Creates, locks, reads and writes run folders.
 
+use crate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
 use crate::record::reason::ExpectationRecord;
 use crate::record::run_record::RigRecord;
 use crate::record::run_record::{FORMAT, InputRecord, RunRecord};
@@ -7,7 +8,6 @@ use crate::scenario::{InputFile, Scenario};
 use crate::trace::{AtPath, FileError, OutputFolder, open_regular_file, read_text_file, remove_empty_folders};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use platebench_plate::input::{STANDARD_INPUT_NAME, STANDARD_STREAM};
 use serde::de::{DeserializeOwned, Error, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 use sha2::{Digest, Sha256};

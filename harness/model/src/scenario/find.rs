@@ -1,12 +1,12 @@
 //! Searches for scenario files, and recognises the kind of a TOML file by its top-level keys.
 
+use crate::input;
 use crate::scenario::definition::Scenario;
 use crate::scenario::diagnostic::{CLOSE, Diagnostic, closeness};
 use crate::scenario::load::{NOT_UTF8, REQUIREMENTS_FILE, load_with_all_errors};
 use crate::scenario::matrix::{case_files, find_case, name_of_case};
 use crate::scenario::parse::parse_syntax;
 use crate::scenario::parse::read_text;
-use platebench_plate::input;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 use std::{env, fs, iter};

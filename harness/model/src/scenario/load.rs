@@ -2,6 +2,7 @@
 //! Loads scenarios with changed values, and the texts of their requirements.
 
 mod checker;
+mod csv_profile;
 mod expectation;
 mod fault;
 mod profile;

@@ -4,9 +4,9 @@
 //! A case is the file without `[matrix]`, with values in place of the placeholders `{name}`. The
 //! values keep their positions, so an error of a case points into the matrix.
 
+use crate::input;
 use crate::scenario::diagnostic::{Diagnostic, suggestion};
 use crate::scenario::parse::{parse_syntax, read_text};
-use platebench_plate::input;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -4,10 +4,10 @@
 //! A raw type states the bounds of each number once, in its schema attributes. Texts, lists and
 //! relations between keys have their own checks, with messages that name the reason.
 
+use crate::input;
 use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS, unit_of_key};
 use crate::scenario::matrix::Source;
 use crate::scenario::schema::schema_of;
-use platebench_plate::input;
 use schemars::{JsonSchema, Schema};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;

@@ -8,7 +8,7 @@ struct Document {
 }
 
 fn read(text: &str) -> Result<Profile, ProfileError> {
-    toml::from_str::<Document>(&format!("p = {text}")).unwrap().p.check(Path::new("."), ms(100.0))
+    toml::from_str::<Document>(&format!("p = {text}")).unwrap().p.check(&[], ms(100.0))
 }
 
 fn ms(value: f64) -> Time {
@@ -169,7 +169,7 @@ fn values_at_several_times_equal_those_at_each(#[case] text: &str, #[values(0.0,
 #[case("{ repeat = { period_ms = 1.0, hold = [[0.0, 1.0]], linear = [[0.0, 1.0]] } }", "requires one of")]
 #[case("{ repeat = { period_ms = 1.0, hold = [[0.0, 1.0], [1.0, 2.0]] } }", "expected one longer than 1 ms")]
 #[case("{ repeat = { period_ms = 1.0, hold = [[0.0, 1.0], [0.0, 2.0]] } }", "point 2: time 0 ms is not after")]
-#[case("{ csv = \"no-such-file.csv\" }", "no-such-file.csv")]
+#[case("{ csv = \"points.csv\" }", "the profile has no points")]
 fn refuses_invalid_points(#[case] text: &str, #[case] message: &str) {
     let error = read(text).unwrap_err().to_string();
     assert!(error.contains(message), "{error}");
@@ -198,7 +198,7 @@ proptest! {
                 [at, *value]
             })
             .collect();
-        let profile = RawProfile::Shape(RawShape::Linear(points)).check(Path::new("."), ms(1.0)).unwrap();
+        let profile = RawProfile::Shape(RawShape::Linear(points)).check(&[], ms(1.0)).unwrap();
         let (low, high) = profile.range();
         let value = profile.at(Time::from_nanos(t));
         prop_assert!(low - 1e-12 <= value && value <= high + 1e-12);
@@ -210,7 +210,7 @@ proptest! {
     ) {
         let mut at = 0.0;
         let points: Vec<_> = steps.iter().map(|(step, value)| { at += f64::from(*step); [at, *value] }).collect();
-        let profile = RawProfile::Shape(RawShape::Hold(points)).check(Path::new("."), ms(1.0)).unwrap();
+        let profile = RawProfile::Shape(RawShape::Hold(points)).check(&[], ms(1.0)).unwrap();
         let from = Time::from_nanos(t * 1_000_000);
         if let Some(next) = profile.next_point_after(from) {
             prop_assert_eq!(profile.at(from), profile.at(Time::from_nanos(next.as_nanos() - 1)));

@@ -10,7 +10,6 @@ use platebench_plate::{
 };
 use rstest::rstest;
 use std::f64::consts::TAU;
-use std::path::Path;
 
 /// Slope of the resonance, rad/s per K.
 const SLOPE: f64 = -9.638 * TAU;
@@ -184,7 +183,7 @@ fn a_chirp_of_the_force(#[case] from_hz: f64, #[case] to_hz: f64) {
     let plate = paper_plate();
     let chirp = RawChirp { mean: 1.0, amplitude: 0.5, from_hz, to_hz, phase_deg: 0.0 };
     let duration = Time::from_nanos(60_000_000);
-    let scene = finger_profile(RawProfile::Shape(RawShape::Chirp(chirp)).check(Path::new("."), duration).unwrap());
+    let scene = finger_profile(RawProfile::Shape(RawShape::Chirp(chirp)).check(&[], duration).unwrap());
     let mode = |t: f64| {
         let turns = from_hz * t + (to_hz - from_hz) * t * t / (2.0 * 0.06);
         (plate.sigma0 * (1.0 + (1.0 + 0.5 * (TAU * turns).sin()) / 1.5), plate.omega0)

@@ -1,5 +1,6 @@
 //! Checks values and points at the wrong ones. Checks plate files.
 
+use crate::input;
 use crate::scenario::definition::InputFile;
 use crate::scenario::diagnostic::{Diagnostic, MAX_DIAGNOSTICS, suggestion};
 use crate::scenario::fault::Fault;
@@ -7,7 +8,7 @@ use crate::scenario::file_checker::not_one_line;
 use crate::scenario::matrix::Source;
 use crate::scenario::parse::{decode_text, parse, read_text};
 use crate::scenario::window::ProfileChanges;
-use platebench_plate::{Plate, Profile, RawPlate, Time, input};
+use platebench_plate::{Plate, Profile, RawPlate, Time};
 use std::path::{Path, PathBuf};
 
 pub(super) const MAX_DELAY_PERIODS: u64 = 100;

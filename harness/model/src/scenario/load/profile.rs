@@ -1,15 +1,12 @@
 //! Checks profiles and that the plate has a resonance at all of their values.
 
-use super::checker::Checker;
-use super::checker::MAX_QUALITY;
+use super::checker::{Checker, MAX_QUALITY};
+use super::csv_profile::csv_point_error;
 use crate::scenario::definition::{InputFile, Spread};
 use crate::scenario::diagnostic::Diagnostic;
 use crate::scenario::raw::RawProfiles;
-use platebench_plate::{
-    ConditionProfiles, Conditions, Plate, Profile, ProfileError, RawProfile, RawShape, Time, input,
-};
+use platebench_plate::{ConditionProfiles, Conditions, Plate, Profile, ProfileError, RawProfile, RawShape, Time};
 use std::f64::consts::TAU;
-use std::ops::Range;
 use std::path::Path;
 
 const MAX_SETPOINT_UM: f64 = 1_000.0;
@@ -20,7 +17,7 @@ const EXPECTED: &str = "expected one of at most 2.5e6 Hz with a quality factor f
 const SPREAD_SIGMAS: f64 = 5.0;
 
 #[derive(Clone, Copy, PartialEq)]
-enum PointField {
+pub(super) enum PointField {
     Time,
     Value,
     /// Period of a repeated profile.
@@ -36,16 +33,22 @@ impl Checker<'_> {
         duration: Time,
         inputs: &mut Vec<InputFile>,
     ) -> Result<Profile, Diagnostic> {
-        let profile = raw.check(folder, duration).map_err(|error| self.profile_error(folder, key, raw, &error))?;
+        let mut file_points = Vec::new();
         if let Some(path) = raw.file(folder) {
-            let bytes =
-                input::read(&path).map_err(|error| Diagnostic::for_file(&path, format!("cannot be read: {error}")))?;
-            inputs.push(InputFile { path, bytes });
+            let (file, points) = self.csv_profile(key, &path)?;
+            file_points = points;
+            inputs.push(file);
         }
-        Ok(profile)
+        raw.check(&file_points, duration).map_err(|error| self.profile_error((folder, inputs), key, raw, &error))
     }
 
-    fn profile_error(&self, folder: &Path, key: &str, raw: &RawProfile, error: &ProfileError) -> Diagnostic {
+    fn profile_error(
+        &self,
+        files: (&Path, &[InputFile]),
+        key: &str,
+        raw: &RawProfile,
+        error: &ProfileError,
+    ) -> Diagnostic {
         let (index, part) = match error {
             ProfileError::NotFinite { index, .. } => (*index, PointField::Value),
             ProfileError::Time { index, .. } | ProfileError::Unordered { index, .. } => (*index, PointField::Time),
@@ -55,51 +58,13 @@ impl Checker<'_> {
             // No point is wrong.
             ProfileError::Pattern => (usize::MAX, PointField::Value),
             ProfileError::Period { .. } | ProfileError::Repeated { .. } => (1, PointField::Period),
-            ProfileError::Csv { path, source } => return self.csv_error(key, path, source),
-            ProfileError::DuplicateColumn { path, title, first, second } => {
-                let text = input::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-                let text = text.unwrap_or_default();
-                let span = field_span(&text, record_span(&text, 0), second - 1);
-                let message = format!("columns {first} and {second} both have the title `{title}`, expected one");
-                return Diagnostic::at_span(path, &text, span, message);
-            }
         };
-        self.point_error(folder, key, raw, index, part, error.to_string())
-    }
-
-    fn csv_error(&self, key: &str, path: &Path, error: &csv::Error) -> Diagnostic {
-        let text = input::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-        match (error.kind(), text) {
-            (csv::ErrorKind::Deserialize { pos: Some(position), err }, Ok(text)) => {
-                let line = record_span(&text, position.record());
-                let column = err.field().and_then(|field| usize::try_from(field).ok());
-                let span = column.map_or(line.clone(), |column| field_span(&text, line, column));
-                let message = format!("{}, expected a number in each of the columns `t_ms` and `value`", err.kind());
-                Diagnostic::at_span(path, &text, span, message)
-            }
-            (csv::ErrorKind::UnequalLengths { pos: Some(position), expected_len, len }, Ok(text)) => {
-                let span = record_span(&text, position.record());
-                Diagnostic::at_span(
-                    path,
-                    &text,
-                    span,
-                    format!("{len} fields, expected {expected_len} as in the header"),
-                )
-            }
-            (csv::ErrorKind::Utf8 { pos: Some(position), .. }, Ok(text)) => {
-                let span = record_span(&text, position.record());
-                Diagnostic::at_span(path, &text, span, "not UTF-8, expected a text file in UTF-8")
-            }
-            _ => {
-                let message = format!("profile file {} cannot be read: {error}", path.display());
-                self.diagnostic(&format!("{key}.csv"), message)
-            }
-        }
+        self.point_error(files, key, raw, index, part, error.to_string())
     }
 
     fn point_error(
         &self,
-        folder: &Path,
+        (folder, inputs): (&Path, &[InputFile]),
         key: &str,
         raw: &RawProfile,
         index: usize,
@@ -124,11 +89,10 @@ impl Checker<'_> {
             RawProfile::Shape(RawShape::Chirp(_)) => format!("{key}.chirp"),
             RawProfile::Shape(RawShape::Csv(file)) => {
                 let path = folder.join(file);
-                let Ok(Ok(text)) = input::read(&path).map(String::from_utf8) else {
-                    return Diagnostic::for_file(&path, message);
+                return match inputs.iter().rfind(|input| input.path == path) {
+                    Some(file) => csv_point_error(file, index, part, message),
+                    None => Diagnostic::for_file(&path, message),
                 };
-                let span = csv_point_span(&text, index, part);
-                return Diagnostic::at_span(&path, &text, span, message);
             }
         };
         self.diagnostic(&key, message)
@@ -136,7 +100,7 @@ impl Checker<'_> {
 
     fn require_values(
         &self,
-        folder: &Path,
+        files: (&Path, &[InputFile]),
         key: &str,
         (raw, profile): (&RawProfile, &Profile),
         good: impl Fn(f64) -> bool,
@@ -148,19 +112,19 @@ impl Checker<'_> {
             (_, Profile::Sine { .. }) => vec![profile.range().0, profile.range().1],
         };
         match (1..).zip(values).find(|(_, value)| !good(*value)) {
-            Some((index, value)) => Err(self.point_error(folder, key, raw, index, PointField::Value, message(value))),
+            Some((index, value)) => Err(self.point_error(files, key, raw, index, PointField::Value, message(value))),
             None => Ok(()),
         }
     }
 
     pub(super) fn check_setpoints(
         &self,
-        folder: &Path,
+        files: (&Path, &[InputFile]),
         raw: &RawProfiles,
         setpoint: &Profile,
     ) -> Result<(), Diagnostic> {
         self.require_values(
-            folder,
+            files,
             "profile.setpoint_um",
             (&raw.setpoint_um, setpoint),
             |value| (0.0..=MAX_SETPOINT_UM).contains(&value),
@@ -170,7 +134,7 @@ impl Checker<'_> {
 
     pub(super) fn check_conditions(
         &self,
-        folder: &Path,
+        files: (&Path, &[InputFile]),
         raw: &RawProfiles,
         plate: &Plate,
         scene: &ConditionProfiles,
@@ -179,7 +143,7 @@ impl Checker<'_> {
         let force = (&raw.finger_force_n, &scene.finger_force_n);
         let force_key = "profile.finger_force_n";
         self.require_values(
-            folder,
+            files,
             force_key,
             force,
             |value| value >= 0.0,
@@ -188,7 +152,7 @@ impl Checker<'_> {
         let temperature = (&raw.temperature_offset_k, &scene.temperature_offset_k);
         let temperature_key = "profile.temperature_offset_k";
         self.require_values(
-            folder,
+            files,
             temperature_key,
             temperature,
             |value| plate.reference_temperature_c + value > ABSOLUTE_ZERO_C,
@@ -203,7 +167,7 @@ impl Checker<'_> {
             mode.is_resonant() && quality <= MAX_QUALITY && mode.omega0 <= MAX_RESONANCE_HZ * TAU
         };
         self.require_values(
-            folder,
+            files,
             force_key,
             force,
             |value| exists(0.0, value),
@@ -216,7 +180,7 @@ impl Checker<'_> {
         let forces: Vec<f64> = corners.chain([lightest, heaviest]).collect();
         let margin = SPREAD_SIGMAS * spread.temperature_k;
         self.require_values(
-            folder,
+            files,
             temperature_key,
             temperature,
             |value| forces.iter().all(|force| exists(value - margin, *force) && exists(value + margin, *force)),
@@ -228,44 +192,4 @@ impl Checker<'_> {
             },
         )
     }
-}
-
-/// Byte range of the CSV record `number`. The header is record 0; comments do not count.
-fn record_span(text: &str, number: u64) -> Range<usize> {
-    let mut start = 0;
-    let mut counted = 0;
-    for line in text.split_inclusive('\n') {
-        let content = line.trim_end();
-        if !content.is_empty() && !line.starts_with('#') {
-            if counted == number {
-                return start..start + content.len();
-            }
-            counted += 1;
-        }
-        start += line.len();
-    }
-    0..0
-}
-
-/// Byte range of a field of `line`. `column` counts from 0.
-fn field_span(text: &str, line: Range<usize>, column: usize) -> Range<usize> {
-    let mut start = line.start;
-    for (index, field) in text.get(line.clone()).unwrap_or_default().split(',').enumerate() {
-        if index == column {
-            let from = start + field.len() - field.trim_start().len();
-            return from..from + field.trim().len();
-        }
-        start += field.len() + 1;
-    }
-    line
-}
-
-fn csv_point_span(text: &str, index: usize, part: PointField) -> Range<usize> {
-    let header = text.get(record_span(text, 0)).unwrap_or_default();
-    let name = match part {
-        PointField::Time => "t_ms",
-        PointField::Value | PointField::Period => "value",
-    };
-    let column = header.split(',').position(|field| field.trim() == name).unwrap_or(0);
-    field_span(text, record_span(text, index as u64), column)
 }

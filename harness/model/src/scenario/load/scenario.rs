@@ -252,13 +252,13 @@ impl Checker<'_> {
         let temperature_offset_k = profile("profile.temperature_offset_k", &profiles.temperature_offset_k);
         let finger_force_n = profile("profile.finger_force_n", &profiles.finger_force_n);
         if let Some(setpoint) = &setpoint {
-            problems.record_error(self.check_setpoints(folder, profiles, setpoint));
+            problems.record_error(self.check_setpoints((folder, inputs), profiles, setpoint));
         }
         let conditions = temperature_offset_k.zip(finger_force_n);
         let conditions = conditions
             .map(|(temperature_offset_k, finger_force_n)| ConditionProfiles { temperature_offset_k, finger_force_n });
         if let (Some(plate), Some(conditions)) = (plate, &conditions) {
-            problems.record_error(self.check_conditions(folder, profiles, plate, conditions, &spread));
+            problems.record_error(self.check_conditions((folder, inputs), profiles, plate, conditions, &spread));
         }
         SceneParts { controller, duration, setpoint, conditions }
     }
