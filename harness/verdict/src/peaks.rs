@@ -19,8 +19,9 @@ use std::f64::consts::{PI, TAU};
 const POINTS_PER_PERIOD: f64 = 16.0;
 /// Smaller excesses over the rows are rounding errors, µm.
 const ROUNDING_UM: f64 = 1e-12;
-const GOLDEN_STEPS: u32 = 30;
-const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
+/// Parabolas through three points with the top of the last one in the middle. The first points are a
+/// sixteenth of a period apart, those of each next one a sixteenth of that.
+const PARABOLAS: u32 = 2;
 
 /// Share of the largest |W'| of earlier rows that bounds the next one. The slow oscillation of a
 /// second mode may have W' = 0 at a row.
@@ -40,9 +41,10 @@ pub fn missed_between_rows(
     if !matches!(expectation.metric, Overshoot | PeakDeviation | Ripple | RipplePercent) {
         return None;
     }
-    let exact = rows_with_extremes(scenario, index, expectation, rows)?;
+    let extremes = find_extremes(scenario, index, expectation, rows)?;
     let value = |rows: &[Row]| measure(expectation, rows, telemetry).value();
-    Some((value(&exact)? - value(rows)?).abs())
+    let present = value(rows)?;
+    if extremes.is_empty() { Some(0.0) } else { Some((value(&with_extremes(rows, extremes))? - present).abs()) }
 }
 
 /// The rows, and rows at extremes of the signal that exceed all rows with the same setpoint in the
@@ -54,6 +56,26 @@ pub fn rows_with_extremes(
     expectation: &Expectation,
     rows: &[Row],
 ) -> Option<Vec<Row>> {
+    find_extremes(scenario, index, expectation, rows).map(|extremes| with_extremes(rows, extremes))
+}
+
+/// A row at an extreme, and the number of the row before it.
+type Extreme = (usize, Row);
+
+fn with_extremes(rows: &[Row], extremes: Vec<Extreme>) -> Vec<Row> {
+    let mut extended = Vec::with_capacity(rows.len() + extremes.len());
+    let mut next = 0;
+    for (number, extreme) in extremes {
+        extended.extend_from_slice(rows.get(next..=number).unwrap_or_default());
+        extended.push(extreme);
+        next = number + 1;
+    }
+    extended.extend_from_slice(rows.get(next..).unwrap_or_default());
+    extended
+}
+
+/// In the order of time.
+fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, rows: &[Row]) -> Option<Vec<Extreme>> {
     let scenario = scenario.of_trial(index);
     let signal = match expectation.signal {
         "wd_um" => BandSignal::InPhase,
@@ -70,33 +92,38 @@ pub fn rows_with_extremes(
         return Some(simulated_extremes(plant, scenario.model, signal, rows, ranges));
     }
     let plate = variation.plate(&scenario.plate);
-    let mut extended = Vec::with_capacity(rows.len() + 8);
+    let mut extremes = Vec::new();
     let mut conditions = Conditions::default();
     let mut poles = Poles::new(scenario.model, &plate.mode(&conditions));
+    let mut command = [0.0; 2];
+    let mut driven = Driven::new(&poles, command);
     let (mut fast, mut last) = (Complex64::ZERO, LastStep::default());
     let mut ranges = Ranges::new(ranges);
-    for (number, row) in rows.iter().enumerate() {
-        extended.push(*row);
-        let Some(next) = rows.get(number + 1) else { break };
+    for (number, [row, next]) in rows.array_windows().enumerate() {
         let w = Complex64::new(row.wd_um, row.wq_um);
         let present = Conditions { temperature_offset_k: row.temperature_offset_k, finger_force_n: row.finger_force_n };
+        let commanded = [row.frequency_hz, row.drive_vpp];
         if present != conditions {
             conditions = present;
             let changed = Poles::new(scenario.model, &plate.mode(&conditions));
             fast = poles.fast_part_in(&changed, w, fast);
-            poles = changed;
+            (poles, driven) = (changed, Driven::new(&changed, commanded));
+        } else if commanded != command {
+            driven = Driven::new(&poles, commanded);
         }
-        let motion = Motion::new(&poles, TAU * row.frequency_hz, row.drive_vpp, w, fast);
+        command = commanded;
+        let motion = Motion { driven: &driven, slow: w - fast - driven.slow_rest, fast: fast - driven.fast_rest };
         let seconds = next.t_s - row.t_s;
         let next_fast = last.fast_after(&motion, seconds);
         if let Some(range) = ranges.at(number) {
             let next_w = Complex64::new(next.wd_um, next.wq_um);
-            let ends = [w - fast, next_w - next_fast].map(|slow| slow + motion.fast_rest);
-            motion.push_extremes(row, signal, seconds, ends, range, &mut extended);
+            let ends = [w - fast, next_w - next_fast].map(|slow| slow + driven.fast_rest);
+            let found = motion.extremes(row, signal, seconds, ends, range);
+            extremes.extend(found.into_iter().map(|extreme| (number, extreme)));
         }
         fast = next_fast;
     }
-    Some(extended)
+    Some(extremes)
 }
 
 /// The scenario for a plate without the demodulator, which does not act on the motion.
@@ -113,17 +140,15 @@ fn simulated_extremes(
     signal: BandSignal,
     rows: &[Row],
     ranges: impl Iterator<Item = SetpointRange>,
-) -> Vec<Row> {
-    let mut extended = Vec::with_capacity(rows.len() + 8);
+) -> Vec<Extreme> {
+    let mut extremes = Vec::new();
     let mut ranges = Ranges::new(ranges);
     let first = plant.plate().omega0;
     let second = plant.plate().effects.second_mode.map_or(first, |second| second.omega0);
     let (slowest, fastest) = (first.min(second), first.max(second));
     let time_of = |row: &Row| Time::from_seconds(row.t_s).unwrap_or_default();
     let mut speed = 0.0_f64;
-    for (number, row) in rows.iter().enumerate() {
-        extended.push(*row);
-        let Some(next) = rows.get(number + 1) else { break };
+    for (number, [row, next]) in rows.array_windows().enumerate() {
         let (start, end) = (time_of(row), time_of(next));
         plant.advance(start, &[], &mut Vec::new());
         let drive = Drive { vpp: row.drive_vpp, omega: TAU * row.frequency_hz };
@@ -159,9 +184,9 @@ fn simulated_extremes(
             }
         }
         found.sort_by_key(|(at, _)| *at);
-        extended.extend(found.into_iter().map(|(at, w)| row_at(row, at.seconds(), w)));
+        extremes.extend(found.into_iter().map(|(at, w)| (number, row_at(row, at.seconds(), w))));
     }
-    extended
+    extremes
 }
 
 /// Instant and state of the largest value at points that are `step` s apart.
@@ -295,91 +320,110 @@ impl Poles {
     }
 }
 
-/// `W = rest + Σ amplitude e^{pole t}` from a row on.
+/// Rests and poles of both parts in the rotating frame. They are constant while drive and mode are.
 #[derive(Debug, Clone, Copy)]
-struct Motion {
+struct Driven {
     slow_rest: Complex64,
     fast_rest: Complex64,
-    /// Amplitude and pole in the rotating frame.
-    slow: [Complex64; 2],
-    fast: [Complex64; 2],
+    /// 1/s
+    slow_pole: Complex64,
+    /// 1/s; 0 in the envelope model.
+    fast_pole: Complex64,
+    /// Period of the fastest oscillation, s.
+    shortest_period: f64,
 }
 
-impl Motion {
-    fn new(poles: &Poles, omega: f64, vpp: f64, w: Complex64, fast: Complex64) -> Self {
-        let frame = Complex64::new(0.0, omega);
+impl Driven {
+    /// `command` is the frequency in Hz and the drive in Vpp.
+    fn new(poles: &Poles, [frequency_hz, vpp]: [f64; 2]) -> Self {
+        let frame = Complex64::new(0.0, TAU * frequency_hz);
         let force = poles.force * vpp;
         let slow_pole = poles.slow - frame;
-        let slow_rest = -force / slow_pole;
-        let slow = [w - fast - slow_rest, slow_pole];
-        let Some(fast_pole) = poles.fast.map(|pole| pole - frame) else {
-            return Self { slow_rest, fast_rest: Complex64::ZERO, slow, fast: [Complex64::ZERO; 2] };
-        };
-        let fast_rest = force / fast_pole;
-        Self { slow_rest, fast_rest, slow, fast: [fast - fast_rest, fast_pole] }
+        let fast_pole = poles.fast.map_or(Complex64::ZERO, |pole| pole - frame);
+        Self {
+            slow_rest: -force / slow_pole,
+            fast_rest: if poles.fast.is_some() { force / fast_pole } else { Complex64::ZERO },
+            slow_pole,
+            fast_pole,
+            shortest_period: TAU / fast_pole.im.abs().max(slow_pole.norm()),
+        }
+    }
+}
+
+/// `W = rests + Σ amplitude e^{pole t}` from a row on, with the amplitude of both parts.
+#[derive(Debug, Clone, Copy)]
+struct Motion<'a> {
+    driven: &'a Driven,
+    slow: Complex64,
+    fast: Complex64,
+}
+
+impl Motion<'_> {
+    fn rest(&self) -> Complex64 {
+        self.driven.slow_rest + self.driven.fast_rest
     }
 
     fn after(&self, seconds: f64) -> Complex64 {
-        let [slow, fast] = [self.slow, self.fast].map(|[amplitude, pole]| amplitude * (pole * seconds).exp());
-        self.slow_rest + self.fast_rest + slow + fast
+        self.slow_after(seconds) + self.fast * (self.driven.fast_pole * seconds).exp()
     }
 
     /// W without the fast part that decays.
     fn slow_after(&self, seconds: f64) -> Complex64 {
-        let [amplitude, pole] = self.slow;
-        self.slow_rest + self.fast_rest + amplitude * (pole * seconds).exp()
+        self.rest() + self.slow * (self.driven.slow_pole * seconds).exp()
     }
 
     /// Bounds of the signal from `t` on for `seconds`, and of its negative: those of the chord of the
     /// slow part from `start` to `end`, its distance from the chord, `t²|W''|/8`, and the fast part.
     fn bounds(&self, signal: BandSignal, t: f64, seconds: f64, [start, end]: [Complex64; 2]) -> [f64; 2] {
-        let [amplitude, pole] = self.slow;
-        let ends = [start, end].map(|w| value_of(signal, w));
-        let lowest = match signal {
-            BandSignal::Amplitude => distance_from_zero(start, end),
-            _ => ends[0].min(ends[1]),
-        };
+        let pole = self.driven.slow_pole;
         // Both parts decay.
         let decay = if t == 0.0 { 1.0 } else { (pole.re * t).exp() };
-        let sizes = [amplitude, self.fast[0]].map(|part| part.norm_sqr().sqrt());
-        let reach = decay * (seconds * seconds * pole.norm_sqr() / 8.0 * sizes[0] + sizes[1]);
+        let [slow, fast] = [self.slow, self.fast].map(size);
+        let reach = decay * (seconds * seconds * pole.norm_sqr() / 8.0 * slow + fast);
+        let (ends, lowest) = match signal {
+            BandSignal::Amplitude => {
+                let ends = [start, end].map(size);
+                // The distances of a point of the chord from both ends sum up to its length.
+                (ends, f64::midpoint(ends[0], ends[1]) - size(end - start) / 2.0)
+            }
+            _ => {
+                let ends = [start, end].map(|w| value_of(signal, w));
+                (ends, ends[0].min(ends[1]))
+            }
+        };
         [ends[0].max(ends[1]) + reach, reach - lowest]
     }
 
-    /// Adds rows at the extremes between `row` and the next one, `seconds` later. `ends` are the slow
-    /// part at both.
-    fn push_extremes(
+    /// Rows at the extremes between `row` and the next one, `seconds` later, that are beyond `range`.
+    /// `ends` are the slow part at both.
+    fn extremes(
         &self,
         row: &Row,
         signal: BandSignal,
         seconds: f64,
         ends: [Complex64; 2],
         range: &mut SetpointRange,
-        rows: &mut Vec<Row>,
-    ) {
+    ) -> Vec<Row> {
         let mut found = Vec::new();
         for (sign, bound) in [1.0, -1.0].into_iter().zip(self.bounds(signal, 0.0, seconds, ends)) {
             let mut search = Search { motion: self, signal, sign, largest: range.limit(sign), at: None };
-            search.visit(0.0, seconds, ends, bound);
+            if search.may_exceed(bound) {
+                search.visit(0.0, seconds, ends);
+            }
             if let Some(t) = search.at {
                 range.raise(sign, search.largest);
                 found.push(t);
             }
         }
         found.sort_by(f64::total_cmp);
-        rows.extend(found.into_iter().map(|t| row_at(row, row.t_s + t, self.after(t))));
-    }
-
-    /// Period of the fastest oscillation, s.
-    fn shortest_period(&self) -> f64 {
-        TAU / self.fast[1].im.abs().max(self.slow[1].norm())
+        found.into_iter().map(|t| row_at(row, row.t_s + t, self.after(t))).collect()
     }
 }
 
 /// Searches the largest value of `sign` times the signal between two rows, by bisection. Parts whose
 /// bound does not exceed the largest value so far are not searched.
 struct Search<'a> {
-    motion: &'a Motion,
+    motion: &'a Motion<'a>,
     signal: BandSignal,
     sign: f64,
     largest: f64,
@@ -388,15 +432,16 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// `ends` are the slow part at `from` and at `to`, and `bound` is the bound between them.
-    fn visit(&mut self, from: f64, to: f64, ends: [Complex64; 2], bound: f64) {
-        if bound <= self.largest + ROUNDING_UM {
-            return;
-        }
-        if to - from <= self.motion.shortest_period() {
-            let value = |t| self.sign * value_of(self.signal, self.motion.after(t));
-            let (t, largest) = largest_between(value, from, to);
-            if largest > self.largest + ROUNDING_UM {
+    fn may_exceed(&self, bound: f64) -> bool {
+        bound > self.largest + ROUNDING_UM
+    }
+
+    /// `ends` are the slow part at `from` and at `to`.
+    fn visit(&mut self, from: f64, to: f64, ends: [Complex64; 2]) {
+        if to - from <= self.motion.driven.shortest_period {
+            let t = self.largest_between(from, to);
+            let largest = self.sign * value_of(self.signal, self.motion.after(t));
+            if self.may_exceed(largest) {
                 (self.largest, self.at) = (largest, Some(t));
             }
             return;
@@ -410,44 +455,50 @@ impl Search<'_> {
         // The larger bound first, so that the other part is probably not searched.
         parts.sort_by(|one, other| other.3.total_cmp(&one.3));
         for (from, to, ends, bound) in parts {
-            self.visit(from, to, ends, bound);
+            if self.may_exceed(bound) {
+                self.visit(from, to, ends);
+            }
+        }
+    }
+
+    /// Instant of the largest value, by a scan and by parabolas. The value has at most one period
+    /// between `from` and `to`.
+    fn largest_between(&self, from: f64, to: f64) -> f64 {
+        let Motion { driven, slow, fast } = *self.motion;
+        let step = (to - from) / POINTS_PER_PERIOD;
+        let (mut slow, mut fast) = (slow * (driven.slow_pole * from).exp(), fast * (driven.fast_pole * from).exp());
+        let factors = [driven.slow_pole, driven.fast_pole].map(|pole| (pole * step).exp());
+        let mut best = (from, f64::NEG_INFINITY);
+        for number in 0..=POINTS_PER_PERIOD as u32 {
+            let here = self.rank(self.motion.rest() + slow + fast);
+            if here > best.1 {
+                best = (from + f64::from(number) * step, here);
+            }
+            (slow, fast) = (slow * factors[0], fast * factors[1]);
+        }
+        let (mut t, mut span) = (best.0, step);
+        for _ in 0..PARABOLAS {
+            let [before, here, after] = [t - span, t, t + span].map(|t| self.rank(self.motion.after(t)));
+            let curvature = before - 2.0 * here + after;
+            let top = if curvature < 0.0 { (before - after) / (2.0 * curvature) } else { 0.0 };
+            t = (t + span * top.clamp(-1.0, 1.0)).clamp(from, to);
+            span /= POINTS_PER_PERIOD;
+        }
+        if self.rank(self.motion.after(t)) > best.1 { t } else { best.0 }
+    }
+
+    /// Largest where `sign` times the signal is. |W|² is smooth where |W| is 0.
+    fn rank(&self, w: Complex64) -> f64 {
+        match self.signal {
+            BandSignal::Amplitude => self.sign * w.norm_sqr(),
+            _ => self.sign * value_of(self.signal, w),
         }
     }
 }
 
-/// Distance of the segment from `start` to `end` from 0.
-fn distance_from_zero(start: Complex64, end: Complex64) -> f64 {
-    let chord = end - start;
-    let along = if chord.norm_sqr() > 0.0 { -(start * chord.conj()).re / chord.norm_sqr() } else { 0.0 };
-    (start + chord * along.clamp(0.0, 1.0)).norm()
-}
-
-/// Instant and size of the largest value, by a scan and by sections in the golden ratio. The value
-/// has at most one period between `from` and `to`.
-fn largest_between(value: impl Fn(f64) -> f64, from: f64, to: f64) -> (f64, f64) {
-    let step = (to - from) / POINTS_PER_PERIOD;
-    let points = (0..=POINTS_PER_PERIOD as u32).map(|number| from + f64::from(number) * step);
-    let (best, _) = points.fold((from, f64::NEG_INFINITY), |best, t| {
-        let here = value(t);
-        if here > best.1 { (t, here) } else { best }
-    });
-    let (mut low, mut high) = ((best - step).max(from), (best + step).min(to));
-    let section = |low: f64, high: f64| GOLDEN_RATIO * (high - low);
-    let [mut left, mut right] = [high - section(low, high), low + section(low, high)];
-    let [mut at_left, mut at_right] = [value(left), value(right)];
-    for _ in 0..GOLDEN_STEPS {
-        if at_left < at_right {
-            (low, left, at_left) = (left, right, at_right);
-            right = low + section(low, high);
-            at_right = value(right);
-        } else {
-            (high, right, at_right) = (right, left, at_left);
-            left = high - section(low, high);
-            at_left = value(left);
-        }
-    }
-    let t = f64::midpoint(low, high);
-    (t, value(t))
+/// |W| within a rounding error, faster than [`Complex64::norm`].
+fn size(w: Complex64) -> f64 {
+    w.norm_sqr().sqrt()
 }
 
 /// Exponential of the fast pole over the last step. Most steps have the same length and pole.
@@ -459,13 +510,14 @@ struct LastStep {
 }
 
 impl LastStep {
-    fn fast_after(&mut self, motion: &Motion, seconds: f64) -> Complex64 {
-        let [amplitude, pole] = motion.fast;
+    /// Fast part after `seconds`.
+    fn fast_after(&mut self, motion: &Motion<'_>, seconds: f64) -> Complex64 {
+        let pole = motion.driven.fast_pole;
         // Instants of rows have rounding errors of 1e-17 s.
         let is_same = self.pole == pole && (self.seconds - seconds).abs() < 1e-16;
         if !is_same {
             *self = Self { pole, seconds, decay: (pole * seconds).exp() };
         }
-        motion.fast_rest + amplitude * self.decay
+        motion.driven.fast_rest + motion.fast * self.decay
     }
 }

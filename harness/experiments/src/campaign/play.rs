@@ -22,6 +22,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tracing::error;
 
+/// Control periods that a worker plays before it passes rows on, and the largest number of trials. That
+/// is about 10 ms on the hosted rig and 0.1 s on the emulated one.
+const TASK_PERIODS: u64 = 2_000;
+const MAX_TASK_TRIALS: u64 = 32;
+
 #[derive(Debug, Clone)]
 pub struct PlayConfig {
     pub rig: RigSpec,
@@ -152,7 +157,7 @@ pub fn play_trials(
         has_stated_reason: AtomicBool::new(false),
     };
     let trials = source.places();
-    let count = player.trials_per_task();
+    let count = player.trials_per_task(&config.rig);
     let next = AtomicU64::new(trials.start);
     let task = || {
         let first = next.fetch_add(count, Ordering::Relaxed);
@@ -165,8 +170,8 @@ pub fn play_trials(
         executors,
         task,
         |executor, trials, emit| player.play(executor, trials, emit),
-        &mut |row: TrialRow| {
-            rows.insert(row.trial, row);
+        &mut |played: Vec<TrialRow>| {
+            played.into_iter().for_each(|row| rows.insert(row.trial, row));
             while let Some(row) = rows.take_next() {
                 failed |= row.verdict == Verdict::Fail;
                 on_row(row)?;
@@ -198,39 +203,55 @@ struct TrialPlayer<'a> {
 }
 
 impl TrialPlayer<'_> {
-    /// Trials of a chain depend on each other, so one worker plays them.
-    fn trials_per_task(&self) -> u64 {
-        if matches!(self.source, TrialSource::Rows(_)) { 1 } else { self.campaign.chain_trials() }
+    /// Number of trials that one worker plays before it passes their rows on.
+    fn trials_per_task(&self, rig: &RigSpec) -> u64 {
+        let scenario = &self.campaign.template.scenario;
+        let periods = scenario.duration.as_nanos() / scenario.controller.period.as_nanos().max(1);
+        match self.source {
+            TrialSource::Rows(_) => 1,
+            // They depend on each other.
+            TrialSource::Numbers(_) if self.is_chain() => self.campaign.chain_trials(),
+            TrialSource::Numbers(_) if rig.is_simulated() => (TASK_PERIODS / periods.max(1)).clamp(1, MAX_TASK_TRIALS),
+            TrialSource::Numbers(_) => 1,
+        }
     }
 
+    fn is_chain(&self) -> bool {
+        matches!(self.source, TrialSource::Numbers(_)) && self.campaign.chain_trials() > 1
+    }
+
+    /// The rows of the trials before an error are passed on too.
     fn play(
         &self,
         executor: &mut Executor<'_>,
         trials: Range<u64>,
-        emit: &mut Emit<'_, TrialRow>,
+        emit: &mut Emit<'_, Vec<TrialRow>>,
     ) -> Result<(), CampaignError> {
-        if self.trials_per_task() > 1 {
+        if self.is_chain() {
             return self.play_chain(executor, &trials, emit);
         }
-        let number = trials.start;
-        let trial = match self.source {
-            TrialSource::Numbers(_) => self.campaign.trial(number)?,
-            TrialSource::Rows(rows) => match rows.get(number as usize) {
-                Some(row) => row.trial_in(self.campaign)?,
-                None => return Ok(()),
-            },
-        };
-        if let Some(row) = self.play_trial(executor, &trial)? {
-            emit(TrialRow { trial: number, ..row });
-        }
-        Ok(())
+        let mut rows = Vec::new();
+        let outcome = trials.into_iter().try_for_each(|number| {
+            let trial = match self.source {
+                TrialSource::Numbers(_) => self.campaign.trial(number)?,
+                TrialSource::Rows(rows) => match rows.get(number as usize) {
+                    Some(row) => row.trial_in(self.campaign)?,
+                    None => return Ok(()),
+                },
+            };
+            let row = self.play_trial(executor, &trial)?;
+            rows.extend(row.map(|row| TrialRow { trial: number, ..row }));
+            Ok(())
+        });
+        emit(rows);
+        outcome
     }
 
     fn play_chain(
         &self,
         executor: &mut Executor<'_>,
         trials: &Range<u64>,
-        emit: &mut Emit<'_, TrialRow>,
+        emit: &mut Emit<'_, Vec<TrialRow>>,
     ) -> Result<(), CampaignError> {
         let campaign = self.campaign;
         let (mut number, mut outcome) = (trials.start, Ok(()));
@@ -245,7 +266,7 @@ impl TrialPlayer<'_> {
             })?;
             let scores = row.scores();
             number += 1;
-            emit(row).then_some(scores)
+            emit(vec![row]).then_some(scores)
         });
         outcome
     }
