@@ -156,7 +156,7 @@ fn varying_scene() -> ConditionProfiles {
     let line = toml::from_str::<Document>("p = { linear = [[0.0, 0.0], [5.0, 1.0]] }").unwrap().p;
     ConditionProfiles {
         temperature_offset_k: Profile::constant(0.0),
-        finger_force_n: line.check(std::path::Path::new("."), platebench_plate::Time::ZERO).unwrap(),
+        finger_force_n: line.check(&[], platebench_plate::Time::ZERO).unwrap(),
     }
 }
 
