@@ -2,7 +2,7 @@
 //! scenarios.
 //!
 //! Unit tests of a crate below cannot use functions with types of that crate: the kit has a second
-//! version of them.
+//! version of them. The unit tests of `rig` therefore include `scripted_link.rs`.
 
 mod board;
 mod configuration;
