@@ -471,8 +471,7 @@ mod tests {
     use super::*;
 
     fn svg(results: &[VariantResult]) -> String {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
-        let scenes = load_law_scenarios(&folder, true).unwrap();
+        let scenes = load_law_scenarios(&platebench_test_kit::scenario_path(""), true).unwrap();
         variants_chart(&[&scenes[0]], results).svg()
     }
 

@@ -319,14 +319,12 @@ impl SceneResult<'_> {
 mod tests {
     use super::*;
     use platebench_model::record::Telemetry;
-    use platebench_model::scenario::load;
+    use platebench_test_kit::load_scenario;
     use platebench_verdict::{judge, measure};
-    use std::path::Path;
 
     /// Draws a line per scene, with differences of the models `linear` and `modal`.
     fn svg(scenes: &[(Model, [f64; 2], bool)]) -> String {
-        let file = "paper/fig13-closed-loop.toml";
-        let scenario = load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file), file).unwrap();
+        let scenario = load_scenario("paper/fig13-closed-loop.toml");
         let measures = measure(&scenario, 0, &[], &Telemetry::default());
         let record = judge(&scenario, &[measures]).expectations.remove(0);
         let scenarios: Vec<Scenario> =

@@ -1,10 +1,7 @@
 use super::*;
+use platebench_test_kit::scenario_path;
 use std::collections::BTreeSet;
 use std::fs;
-
-fn scenario(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name)
-}
 
 fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> Arguments {
     Arguments {
@@ -13,7 +10,7 @@ fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> Arguments {
         quick: true,
         only: vec![only],
         rigs: Vec::new(),
-        scenes: scenario(""),
+        scenes: scenario_path(""),
     }
 }
 
@@ -50,7 +47,8 @@ fn parse_number(text: &str) -> f64 {
 
 #[test]
 fn writes_a_page_drawings_and_numbers_for_methods() {
-    let (folder, rows) = run_chart(ChartKind::Methods, &[scenario("paper/fig16-closed-loop.toml")], "precision.csv");
+    let (folder, rows) =
+        run_chart(ChartKind::Methods, &[scenario_path("paper/fig16-closed-loop.toml")], "precision.csv");
     let header = "scenario,problem,method,setting_kind,setting,status,numerical_error,model_error,total_error,\
                   ns_per_simulated_ms,ratio_to_best_peer";
     assert_eq!(rows[0].join(","), header);
@@ -84,8 +82,8 @@ fn writes_a_page_drawings_and_numbers_for_methods() {
 #[test]
 fn rejects_a_scenario_without_a_setpoint() {
     let folder = tempfile::tempdir().unwrap();
-    let text = fs::read_to_string(scenario("paper/fig13-open-loop.toml")).unwrap();
-    let plate = scenario("plates/aluminium-198x138.toml");
+    let text = fs::read_to_string(scenario_path("paper/fig13-open-loop.toml")).unwrap();
+    let plate = scenario_path("plates/aluminium-198x138.toml");
     let mut still = String::new();
     for line in text.lines() {
         let line = match line.split_once(" = ") {
@@ -106,9 +104,9 @@ fn rejects_missing_files_and_empty_folders() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("new");
     for which in [ChartKind::Methods, ChartKind::Scenes] {
-        assert_eq!(exit_of(&arguments(which, &[scenario("no-such.toml")], &out)), Failure::INVALID);
+        assert_eq!(exit_of(&arguments(which, &[scenario_path("no-such.toml")], &out)), Failure::INVALID);
     }
-    let nowhere = Arguments { scenes: scenario("no-such"), ..arguments(ChartKind::Laws, &[], &out) };
+    let nowhere = Arguments { scenes: scenario_path("no-such"), ..arguments(ChartKind::Laws, &[], &out) };
     assert_eq!(exit_of(&nowhere), Failure::INVALID);
     assert_eq!(exit_of(&arguments(ChartKind::Scenes, &[folder.path().to_owned()], &out)), Failure::NOTHING_TO_DRAW);
     assert!(!out.exists(), "nothing was drawn");
@@ -116,7 +114,7 @@ fn rejects_missing_files_and_empty_folders() {
 
 /// Writes a step to 2 µm, 30 ms long. Its final amplitude may be off by `tolerance`, µm.
 fn scenario_with_tolerance(folder: &Path, law: &str, model: &str, tolerance: f64) -> PathBuf {
-    let plate = scenario("plates/aluminium-198x138.toml");
+    let plate = scenario_path("plates/aluminium-198x138.toml");
     let (low, high) = (2.0 - tolerance, 2.0 + tolerance);
     let text = format!(
         "title = \"{law}\"\nplate = {:?}\nmodel = \"{model}\"\nduration_ms = 30.0\n\
@@ -140,7 +138,7 @@ fn scenes_are_judged_on_every_model() {
     let named = [
         scenario_with_tolerance(folder.path(), "open-loop", "linear", 1.0),
         scenario_with_tolerance(folder.path(), "dq-pi", "auto", 0.05),
-        scenario("paper/fig13-closed-loop.toml"),
+        scenario_path("paper/fig13-closed-loop.toml"),
     ];
     let (folder, rows) = run_chart(ChartKind::Scenes, &named, "scenes.csv");
     let column = |name: &str| rows[0].iter().position(|column| column == name).unwrap();
@@ -167,7 +165,7 @@ fn scenes_are_judged_on_every_model() {
 fn scenes_show_a_verdict_that_a_wrong_model_changes() {
     let folder = tempfile::tempdir().unwrap();
     // The plate is detuned by 545 rad/s, which the linear model without coupling ignores.
-    let plate = scenario("plates/aluminium-198x138.toml");
+    let plate = scenario_path("plates/aluminium-198x138.toml");
     let text = format!(
         "title = \"detuned\"\nplate = {:?}\nduration_ms = 30.0\n[controller]\nlaw = \"open-loop\"\n\
          [profile]\nsetpoint_um = 2.0\ntemperature_offset_k = 9.0\n\
@@ -188,7 +186,7 @@ fn scenes_show_a_verdict_that_a_wrong_model_changes() {
 
 #[test]
 fn the_ladder_compares_models_with_the_emulated_firmware() {
-    let named = ["paper/fig13-closed-loop.toml", "paper/fig14-closed-loop.toml"].map(scenario);
+    let named = ["paper/fig13-closed-loop.toml", "paper/fig14-closed-loop.toml"].map(scenario_path);
     let (folder, rows) = run_chart(ChartKind::Ladder, &named, "ladder.csv");
     let names: Vec<&str> = rows.iter().map(|row| row[0].as_str()).collect();
     assert_eq!(
@@ -253,7 +251,8 @@ fn law_table_equals_the_documented_one() {
     assert!(stronger.1 > response("deadbeat", "true", "1", "0").1 + 5.0, "{stronger:?}");
     let drawing = |path: &Path| fs::read_to_string(path).unwrap();
     assert!(
-        drawing(&folder.path().join("new/law-variants.svg")) == drawing(&scenario("../docs/charts/law-variants.svg")),
+        drawing(&folder.path().join("new/law-variants.svg"))
+            == drawing(&scenario_path("../docs/charts/law-variants.svg")),
         "docs/charts/law-variants.svg differs"
     );
     // Scenes with noise ran fewer trials here than in docs/laws.md, so they are not compared.
@@ -263,7 +262,7 @@ fn law_table_equals_the_documented_one() {
     };
     let table = without_noise(&fs::read_to_string(folder.path().join("new/laws.md")).unwrap());
     assert_eq!(table.len(), 10);
-    let page = without_noise(&fs::read_to_string(scenario("../docs/laws.md")).unwrap());
+    let page = without_noise(&fs::read_to_string(scenario_path("../docs/laws.md")).unwrap());
     for line in &table {
         assert!(page.contains(line), "docs/laws.md has no line {line}");
     }

@@ -417,13 +417,12 @@ pub(crate) fn drive_violation(drives: DrivesAfterSafe, now: Time) -> Violation {
 mod tests {
     use super::*;
     use crate::trial::configure;
+    use platebench_test_kit::load_scenario;
     use platebench_wire::{LawId, StateCause};
     use rstest::rstest;
-    use std::path::Path;
 
     fn scenario() -> Scenario {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let mut scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         scenario.plate.drive_limit_vpp = 900.0;
         scenario.controller.frequency_range_hz = 250.0;
         scenario.controller.frequency_slew_hz = 100.0;
@@ -498,8 +497,7 @@ mod tests {
     #[case::a_line_with_faults("faults/lost-command.toml", &[5, 4], 0)]
     #[case::a_chip_with_faults("chip/stuck-microseconds.toml", &[5, 4], 0)]
     fn checks_the_clock(#[case] file: &str, #[case] times_us: &[u32], #[case] count: u64) {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-        let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let scenario = load_scenario(file);
         let mut checks = CommandChecks::new(&scenario);
         for (number, &target_time_us) in (1..).zip(times_us) {
             let command = Command { target_time_us, ..command(0.0, 0, ControllerState::Running) };

@@ -297,13 +297,10 @@ fn simulate_rows(scenario: &Scenario, law: LawId, index: u32) -> Option<Vec<Row>
 mod tests {
     use super::*;
     use platebench_model::record::{Cause, Quantiles, TimingRecord};
-    use platebench_model::scenario::load;
-    use std::path::Path;
+    use platebench_test_kit::load_scenario;
 
     fn boundary_periods(law: LawId, response_ms: f64) -> f64 {
-        let name = "paper/fig13-closed-loop.toml";
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
-        let mut scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         scenario.controller.response_time_ms = Some(response_ms);
         scenario.plate.drive_limit_vpp = 1e5;
         let boundary = scenario_delay_boundary(&scenario, law).unwrap();
@@ -312,9 +309,7 @@ mod tests {
 
     #[test]
     fn settles_from_rest_only_below_the_boundary() {
-        let name = "paper/fig13-closed-loop.toml";
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
-        let scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
+        let scenario = load_scenario("paper/fig13-closed-loop.toml");
         let configure = configure(&scenario, LawId::DqPi);
         let conditions = scenario.conditions.at(Time::ZERO);
         let start = DelayedLoop::new(&configure, &scenario.plate, conditions, scenario.model, 2.0).unwrap();
@@ -339,11 +334,6 @@ mod tests {
         assert!((found - 1.4).abs() < 0.02, "{found}");
     }
 
-    fn scenario(name: &str) -> Scenario {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
-        load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
-    }
-
     fn telemetry(delay_us: f64) -> Telemetry {
         let delay = Quantiles { p50: delay_us, p99: delay_us, p999: delay_us, max: delay_us };
         let timing = TimingRecord { loop_delay_us: Some(delay), ..TimingRecord::default() };
@@ -351,7 +341,7 @@ mod tests {
     }
 
     fn excuse(played_law: LawId, delay_us: f64) -> Option<Cause> {
-        let scenario = scenario("paper/fig13-closed-loop.toml");
+        let scenario = load_scenario("paper/fig13-closed-loop.toml");
         let mut delayed = scenario.clone();
         delayed.controller.loop_delay = Time::from_ms(delay_us / 1e3).unwrap();
         let rows = simulate_rows(&delayed, played_law, 0).unwrap();
@@ -373,7 +363,7 @@ mod tests {
 
     #[test]
     fn excuses_an_own_law_above_a_tenth_of_the_period() {
-        let mut scenario = scenario("paper/fig13-closed-loop.toml");
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         scenario.set_law("own");
         let rows = simulate_rows(&scenario, LawId::OpenLoop, 0).unwrap();
         let excuse =
@@ -385,7 +375,7 @@ mod tests {
 
     #[test]
     fn excuses_nothing_in_lockstep() {
-        let scenario = scenario("paper/fig13-closed-loop.toml");
+        let scenario = load_scenario("paper/fig13-closed-loop.toml");
         let rows = simulate_rows(&scenario, LawId::OpenLoop, 0).unwrap();
         let telemetry = Telemetry { loop_delay_us: Some(500.0), ..Telemetry::default() };
         assert_eq!(measure_trial(&scenario, LawId::DqPi, 0, &rows, &telemetry).excuses[0], None);

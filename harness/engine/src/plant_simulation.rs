@@ -510,12 +510,10 @@ impl ManualControl {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::Path;
 
     #[test]
     fn time_stamps_overflow_within_some_trials() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let scenario = platebench_test_kit::load_scenario("paper/fig13-closed-loop.toml");
         let stamps = [0, 1, 2, 3, 4].map(|index| {
             let mut plant = PlantSimulation::new(&scenario, index, Vec::new(), None);
             let first = plant.sense().time_us;

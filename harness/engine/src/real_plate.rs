@@ -279,9 +279,7 @@ mod tests {
 
     #[test]
     fn counts_down_each_action_once() {
-        let path =
-            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        let mut scenario = platebench_model::scenario::load(&path, "s.toml").unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = platebench_test_kit::load_scenario("paper/fig13-closed-loop.toml");
         scenario.duration = ms(10_000.0);
         scenario.conditions.finger_force_n = Profile::Hold(vec![(Time::ZERO, 0.0), (ms(2_500.0), 2.0)]);
         scenario.conditions.temperature_offset_k = Profile::constant(9.0);

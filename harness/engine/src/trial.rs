@@ -193,15 +193,9 @@ pub(crate) fn needs_reconfiguration(scenario: &Scenario, stopped: Time, now: Tim
 mod tests {
     use super::*;
     use crate::applicability::missing_capability;
-    use platebench_model::scenario::load;
+    use platebench_test_kit::load_scenario;
     use platebench_wire::capabilities;
     use rstest::rstest;
-    use std::path::Path;
-
-    fn shipped_scenario() -> Scenario {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/paper/fig13-closed-loop.toml");
-        load(&path, "fig13.toml").unwrap_or_else(|fault| panic!("{fault}"))
-    }
 
     fn identity(capabilities: u8, laws: u32) -> Identity {
         Identity { version: [0; 3], capabilities, laws, build: [0; 8], chip: 0, unique: [0; 12], name: [0; 16] }
@@ -209,7 +203,7 @@ mod tests {
 
     #[test]
     fn names_the_law_or_capability_that_is_missing() {
-        let mut scenario = shipped_scenario();
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         let missing = |scenario: &Scenario, identity| missing_capability(scenario, LawId::DqPi, &identity);
         assert_eq!(missing(&scenario, identity(0, u32::MAX)), None);
         let reason = missing(&scenario, identity(0, 1 << LawId::OpenLoop as u8)).unwrap();
@@ -243,7 +237,7 @@ mod tests {
     #[case::announces_none(OWN_LAW, 0, LawId::OpenLoop)]
     #[case::announces_an_unknown_one(OWN_LAW, 1 << 31, LawId::OpenLoop)]
     fn configures_an_announced_number_for_an_own_law(#[case] name: &str, #[case] laws: u32, #[case] expected: LawId) {
-        let mut scenario = shipped_scenario();
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         scenario.set_law(name);
         assert_eq!(law_number(&scenario, law(&scenario).unwrap(), &identity(0, laws)), expected);
     }

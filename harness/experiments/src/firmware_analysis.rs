@@ -309,18 +309,15 @@ mod tests {
     use crate::firmware_analysis::suite::hash_commands;
     use platebench_engine::{Clock, RunHooks, RunPlan, run};
     use platebench_model::record::{Overrides, RunFolder};
-    use platebench_model::scenario::load;
     use platebench_model::trace::read_trace;
     use platebench_rig::RigSpec;
+    use platebench_test_kit::load_scenario;
     use std::hash::{DefaultHasher, Hasher};
-    use std::path::Path;
 
     /// Coverage and mutation both start with the baselines.
     #[test]
     fn baselines_have_the_commands_of_run() {
-        let file = "paper/fig13-closed-loop.toml";
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-        let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         (scenario.trials.count, scenario.trials.max_count) = (2, 2);
         let rig: RigSpec = "emulated".parse().unwrap();
         let folder = tempfile::tempdir().unwrap();

@@ -475,15 +475,13 @@ fn format_score(score: Score) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use platebench_model::scenario::load;
     use platebench_rig::RigSpec;
+    use platebench_test_kit::load_scenario;
 
     /// After a mutant without an end, the runner connects again to restore the firmware.
     #[test]
     fn a_time_limit_does_not_cancel_the_next_connection() {
-        let file = "paper/fig13-closed-loop.toml";
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-        let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+        let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         (scenario.trials.count, scenario.trials.max_count) = (100_000, 100_000);
         let suite = Suite::new(&"emulated".parse::<RigSpec>().unwrap(), vec![scenario]).unwrap();
         let (connect, cancel, ends) = (|| suite.connect(), CancelToken::never(), SafeEnds::default());

@@ -144,43 +144,35 @@ mod tests {
     use super::*;
     use crate::fault_injector::FaultInjector;
     use crate::link::BoxedLink;
+    use crate::scripted_link::{ScriptedLink, link_with_changed_answers, packets};
     use crate::session::Session;
     use platebench_model::scenario::{Direction, Fault, FaultKind, Time};
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::Sample;
     use rstest::rstest;
 
-    /// Controller that adds to drive and frequency from the sequence number `first_changed` on.
-    struct ChangedController {
-        device: HostedLink,
-        first_changed: u8,
+    /// Added to drive and frequency of the commands from a sequence number on.
+    #[derive(Clone, Copy)]
+    struct Addition {
+        first_sequence: u8,
         drive_vpp: f32,
         frequency_mhz: u32,
     }
 
-    impl Link for ChangedController {
-        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-            let mut own = Vec::new();
-            self.device.exchange(now, bytes, &mut own)?;
-            for mut packet in PacketReader::new().packets(&own).flatten() {
+    const NOTHING: Addition = Addition { first_sequence: 0, drive_vpp: 0.0, frequency_mhz: 0 };
+
+    fn difference(added: Addition, faults: &[Fault]) -> Option<f64> {
+        let link = link_with_changed_answers(move |_, _, answers| {
+            for packet in answers {
                 if let Message::Command(command) = &mut packet.message
-                    && packet.sequence >= self.first_changed
+                    && packet.sequence >= added.first_sequence
                 {
-                    command.drive_vpp += self.drive_vpp;
-                    command.frequency_mhz += self.frequency_mhz;
+                    command.drive_vpp += added.drive_vpp;
+                    command.frequency_mhz += added.frequency_mhz;
                 }
-                answer.extend_from_slice(packet.encode().as_bytes());
             }
-            Ok(Duration::ZERO)
-        }
-
-        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-            self.device.advance_to(now, received)
-        }
-    }
-
-    fn difference(controller: ChangedController, faults: &[Fault]) -> Option<f64> {
-        let mut session = Session::open(FaultInjector::new(controller)).unwrap();
+        });
+        let mut session = Session::open(FaultInjector::new(link)).unwrap();
         for _ in 0..2 {
             session.link_mut().set_faults(faults, 1);
             session.link_mut().compare_with_reference(true);
@@ -193,9 +185,6 @@ mod tests {
         session.link().reference_difference_percent()
     }
 
-    const REFERENCE: fn() -> ChangedController =
-        || ChangedController { device: HostedLink::new(), first_changed: 0, drive_vpp: 0.0, frequency_mhz: 0 };
-
     #[rstest]
     #[case(0.0, 0, 0.0)]
     #[case(-1.8, 0, 0.2)]
@@ -206,15 +195,15 @@ mod tests {
     #[case(f32::NAN, 0, 0.0)]
     fn is_the_larger_of_drive_and_frequency(#[case] drive_vpp: f32, #[case] frequency_mhz: u32, #[case] percent: f64) {
         assert_eq!((CONFIGURE.drive_limit_vpp, CONFIGURE.frequency_range_hz), (900.0, 250.0));
-        let found = difference(ChangedController { drive_vpp, frequency_mhz, ..REFERENCE() }, &[]).unwrap();
+        let found = difference(Addition { drive_vpp, frequency_mhz, ..NOTHING }, &[]).unwrap();
         assert!((found - percent).abs() < 1e-5, "{found}");
     }
 
     #[test]
     fn one_changed_command_is_enough() {
-        let last = difference(ChangedController { first_changed: 43, drive_vpp: 9.0, ..REFERENCE() }, &[]).unwrap();
+        let last = difference(Addition { first_sequence: 43, drive_vpp: 9.0, ..NOTHING }, &[]).unwrap();
         assert!((last - 1.0).abs() < 1e-5, "{last}");
-        let none = difference(ChangedController { first_changed: 44, drive_vpp: 9.0, ..REFERENCE() }, &[]);
+        let none = difference(Addition { first_sequence: 44, drive_vpp: 9.0, ..NOTHING }, &[]);
         assert_eq!(none, Some(0.0));
     }
 
@@ -224,26 +213,20 @@ mod tests {
         #[values(Direction::ToController, Direction::FromController)] direction: Direction,
     ) {
         let fault = Fault { kind, from: Time::ZERO, until: None, direction, every: 3, seed: None, reconfigure: false };
-        assert_eq!(difference(REFERENCE(), &[fault]), Some(0.0));
+        assert_eq!(difference(NOTHING, &[fault]), Some(0.0));
     }
 
     /// Controller that replaces a Wd that is not finite by 0.
-    struct IgnoresNan(HostedLink);
-
-    impl Link for IgnoresNan {
-        fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-            for mut packet in PacketReader::new().packets(bytes).flatten() {
+    fn link_that_ignores_nan() -> BoxedLink {
+        Box::new(ScriptedLink::new(|controller, now, bytes, answer| {
+            for mut packet in packets(bytes) {
                 if let Message::Sample(sample) = &mut packet.message {
                     sample.wd_um = if sample.wd_um.is_finite() { sample.wd_um } else { 0.0 };
                 }
-                self.0.exchange(now, packet.encode().as_bytes(), answer)?;
+                controller.exchange(now, packet.encode().as_bytes(), answer)?;
             }
             Ok(Duration::ZERO)
-        }
-
-        fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-            self.0.advance_to(now, received)
-        }
+        }))
     }
 
     #[test]
@@ -258,8 +241,8 @@ mod tests {
             }
             session.link().reference_difference_percent()
         };
-        assert_eq!(difference(Box::new(IgnoresNan(HostedLink::new())), f32::NAN), Some(100.0));
-        assert_eq!(difference(Box::new(IgnoresNan(HostedLink::new())), 0.1), Some(0.0));
+        assert_eq!(difference(link_that_ignores_nan(), f32::NAN), Some(100.0));
+        assert_eq!(difference(link_that_ignores_nan(), 0.1), Some(0.0));
         assert_eq!(difference(Box::<HostedLink>::default(), f32::NAN), Some(0.0));
     }
 

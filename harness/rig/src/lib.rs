@@ -10,6 +10,9 @@
 #[cfg(not(target_os = "linux"))]
 compile_error!("the bench needs Linux: pseudo-terminals, signals and real-time scheduling are those of Linux");
 
+#[cfg(test)]
+extern crate self as platebench_rig;
+
 pub mod cancel;
 mod command_audit;
 mod compared_link;
@@ -27,6 +30,10 @@ pub mod probe;
 pub mod protocol_check;
 mod rejected_frame;
 pub mod rigs;
+// The link of the test kit with the types of this build. The kit has those of the library.
+#[cfg(test)]
+#[path = "../../../tests/kit/src/scripted_link.rs"]
+pub mod scripted_link;
 mod serial_port;
 pub mod session;
 pub mod symbols;

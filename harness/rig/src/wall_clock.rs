@@ -157,27 +157,22 @@ impl<L: Link> RealTimeLine for WallClockLink<L> {
 mod tests {
     use super::*;
     use crate::rigs::hosted::HostedLink;
+    use crate::scripted_link::ScriptedLink;
     use crate::session::Session;
     use platebench_test_kit::CONFIGURE;
     use platebench_wire::{Configure, Message, Sample, Tick};
 
-    struct EchoLink(Duration);
-
-    impl Link for EchoLink {
-        fn exchange(&mut self, _now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+    fn echo_link(delay: Duration) -> impl Link {
+        ScriptedLink::new(move |_, _, bytes, answer| {
             answer.extend_from_slice(bytes);
-            Ok(self.0)
-        }
-
-        fn advance_to(&mut self, _now: Duration, _received: &mut Vec<u8>) -> Result<(), LinkError> {
-            Ok(())
-        }
+            Ok(delay)
+        })
     }
 
     #[test]
     fn delivers_an_answer_after_the_links_delay() {
         let delay = Duration::from_millis(40);
-        let mut line = WallClockLink::in_simulated_time(EchoLink(delay));
+        let mut line = WallClockLink::in_simulated_time(echo_link(delay));
         let mut bytes = Vec::new();
         let start = line.now();
         line.send(b"one").unwrap();
@@ -193,7 +188,7 @@ mod tests {
     #[test]
     fn waits_in_wall_time_for_an_answer() {
         let delay = Duration::from_millis(20);
-        let mut line = WallClockLink::new(EchoLink(delay));
+        let mut line = WallClockLink::new(echo_link(delay));
         let before = Instant::now();
         line.send(b"one").unwrap();
         let after = Instant::now();
@@ -205,7 +200,7 @@ mod tests {
     #[test]
     fn queues_a_message_while_the_target_is_busy() {
         let delay = Duration::from_millis(20);
-        let mut line = WallClockLink::in_simulated_time(EchoLink(delay));
+        let mut line = WallClockLink::in_simulated_time(echo_link(delay));
         let mut bytes = Vec::new();
         line.send(b"one").unwrap();
         line.send(b"two").unwrap();

@@ -350,16 +350,9 @@ impl TestFolder {
         let scenario = load(&path, "value.toml").unwrap_or_else(|fault| panic!("{fault}"));
         let out = tempfile::tempdir_in(self.path()).unwrap();
         let folder = RunFolder::create(Some(out.path())).unwrap();
-        let plan = RunPlan {
-            scenarios: vec![scenario],
-            jobs: 1,
-            clock: Clock::Lockstep { wire_time: false },
-            own_clock: false,
-            rig: "hosted".to_owned(),
-            overrides: Overrides::default(),
-        };
-        let record =
-            platebench_engine::run(&plan, &folder, &|| RigSpec::hosted().connect(), RunHooks::default()).unwrap();
+        let (rig, clock) = (RigSpec::hosted(), Clock::Lockstep { wire_time: false });
+        let plan = RunPlan::new(&rig, clock, 1, vec![scenario], Overrides::default());
+        let record = platebench_engine::run(&plan, &folder, &|| rig.connect(), RunHooks::default()).unwrap();
         let trace = out.path().join(&record.scenarios[0].trials[0].trace);
         (record, read_trace(&trace).unwrap())
     }

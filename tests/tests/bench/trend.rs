@@ -64,12 +64,11 @@ fn the_cost_reference_matches_the_image() {
         for scenario in &mut scenarios {
             rejudge::apply_overrides(&overrides, scenario);
         }
-        let clock = Clock::Lockstep { wire_time: false };
-        let plan = RunPlan { scenarios, jobs: 2, clock, own_clock: false, rig: "emulated".to_owned(), overrides };
+        let (rig, clock) = (RigSpec::emulated(None), Clock::Lockstep { wire_time: false });
+        let plan = RunPlan::new(&rig, clock, 2, scenarios, overrides);
         let out = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(Some(&out.path().join("run"))).unwrap();
-        let connect = || RigSpec::emulated(None).connect();
-        let record = run(&plan, &folder, &connect, RunHooks::default()).unwrap();
+        let record = run(&plan, &folder, &|| rig.connect(), RunHooks::default()).unwrap();
         if law == LawId::ALL[0] {
             let firmware = record.rig.firmware.as_ref().unwrap();
             let baud = record.scenarios[0].trials[0].telemetry.baud.unwrap();

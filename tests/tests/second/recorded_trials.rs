@@ -3,12 +3,11 @@
 use platebench_engine::Trial;
 use platebench_engine::lockstep::play;
 use platebench_model::scenario::find;
-use platebench_rig::{CancelToken, FaultInjector, HostedLink, Link, LinkError, Session};
-use platebench_test_kit::{random_configure, random_sample};
-use platebench_wire::{LawId, Message, Packet, PacketReader};
+use platebench_rig::{CancelToken, FaultInjector, Link, Session};
+use platebench_test_kit::{ScriptedLink, packets, random_configure, random_sample, scenario_path};
+use platebench_wire::{LawId, Message, Packet};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -29,9 +28,8 @@ pub(crate) struct RecordedTrial {
 
 impl RecordedTrial {
     pub(crate) fn flip_a_bit_of_the_last_drive(&mut self) {
-        let decode = |bytes: &[u8]| PacketReader::new().packets(bytes).flatten().next();
-        let driven = self.exchanges.iter_mut().rev().find_map(|exchange| match decode(&exchange.answer)? {
-            Packet { message: Message::Command(command), sequence } if command.drive_vpp > 0.0 => {
+        let driven = self.exchanges.iter_mut().rev().find_map(|exchange| match packets(&exchange.answer).first()? {
+            &Packet { message: Message::Command(command), sequence } if command.drive_vpp > 0.0 => {
                 Some((exchange, command, sequence))
             }
             _ => None,
@@ -42,42 +40,27 @@ impl RecordedTrial {
     }
 }
 
-#[derive(Default)]
-struct RecordingLink {
-    link: HostedLink,
-    log: Arc<Mutex<Vec<RecordedExchange>>>,
-    count: usize,
-    cancel: Arc<Mutex<CancelToken>>,
-}
+type ExchangeLog = Arc<Mutex<Vec<RecordedExchange>>>;
 
-impl Link for RecordingLink {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let delay = self.link.exchange(now, bytes, answer)?;
-        self.log.lock().unwrap().push(RecordedExchange { now, request: bytes.to_vec(), answer: answer.clone() });
-        self.count += 1;
-        if self.count >= MAX_EXCHANGES {
-            self.cancel.lock().unwrap().cancel();
+/// Returns a link to a hosted controller that cancels a trial after `MAX_EXCHANGES`.
+fn recording_link(log: &ExchangeLog, cancel: &Arc<Mutex<CancelToken>>) -> impl Link + use<> {
+    let (log, cancel) = (Arc::clone(log), Arc::clone(cancel));
+    ScriptedLink::new(move |controller, now, bytes, answer| {
+        let delay = controller.exchange(now, bytes, answer)?;
+        let mut exchanges = log.lock().unwrap();
+        exchanges.push(RecordedExchange { now, request: bytes.to_vec(), answer: answer.clone() });
+        if exchanges.len() >= MAX_EXCHANGES {
+            cancel.lock().unwrap().cancel();
         }
         Ok(delay)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.link.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.log.lock().unwrap().clear();
-        self.count = 0;
-        self.link.restart()
-    }
+    })
 }
 
 pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/paper");
-    let scenarios = find(&[folder]).unwrap_or_else(|faults| panic!("{}", faults[0])).scenarios;
-    let recorder = RecordingLink::default();
-    let (log, limit) = (recorder.log.clone(), recorder.cancel.clone());
-    let mut session = Session::open(FaultInjector::new(recorder)).unwrap();
+    let scenarios = find(&[scenario_path("paper")]).unwrap_or_else(|faults| panic!("{}", faults[0])).scenarios;
+    let (log, limit) = (ExchangeLog::default(), Arc::new(Mutex::new(CancelToken::default())));
+    let mut session = Session::open(FaultInjector::new(recording_link(&log, &limit))).unwrap();
+    log.lock().unwrap().clear();
     let mut trials = Vec::new();
     for scenario in &scenarios {
         // Time stamps start at 0 only in every fourth trial, as those of the hosted device do.
@@ -95,9 +78,9 @@ pub(crate) fn record_paper_scenarios(law: LawId) -> Vec<RecordedTrial> {
 
 pub(crate) fn record_random_samples(count: u32) -> Vec<RecordedTrial> {
     const PER_DESIGN: u32 = 100;
-    let recorder = RecordingLink::default();
-    let log = recorder.log.clone();
-    let mut session = Session::open(recorder).unwrap();
+    let log = ExchangeLog::default();
+    let mut session = Session::open(recording_link(&log, &Arc::default())).unwrap();
+    log.lock().unwrap().clear();
     let trial = |design: u32| {
         let mut random = ChaCha8Rng::seed_from_u64(u64::from(design));
         let law = LawId::ALL[design as usize % LawId::ALL.len()];

@@ -7,8 +7,8 @@ use platebench_engine::SafeEnds;
 use platebench_model::scenario::load::load_template;
 use platebench_model::scenario::{Scenario, ScenarioGains};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
+use platebench_test_kit::scenario_path;
 use rstest::rstest;
-use std::path::Path;
 
 const STEP: &str = "paper/fig13-closed-loop.toml";
 /// Largest relative difference between measured and predicted stability limits.
@@ -16,8 +16,7 @@ const AGREEMENT_PERCENT: f64 = 1.0;
 const MAX_TRIALS: u32 = 300;
 
 fn case(law: &str, point: PointChoice) -> Scenario {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(STEP);
-    let template = load_template(&path, STEP, |_| {}).unwrap();
+    let template = load_template(&scenario_path(STEP), STEP, |_| {}).unwrap();
     point.scenario(&template, law).unwrap()
 }
 

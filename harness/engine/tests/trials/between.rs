@@ -1,79 +1,47 @@
 //! Tests scenes between trials: one controller plays everything, and its history must not matter.
 
-use crate::fixtures::{LOCKSTEP, packets, plan};
-use platebench_engine::{RunHooks, rejudge, run};
-use platebench_model::record::{RunFolder, RunRecord, Verdict};
-use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
-use platebench_test_kit::write_scenario;
+use crate::fixtures::{LOCKSTEP, plan, run_with_link};
+use platebench_engine::{RunPlan, rejudge};
+use platebench_model::record::{RunRecord, Verdict};
+use platebench_rig::Link;
+use platebench_test_kit::{PLATE, commands, link_with_changed_answers, write_scenario};
 use platebench_wire::{LawId, Message};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Duration;
 
 const SCENARIO: &str = "title = \"History\"\nplate = \"plate.toml\"\nduration_ms = 20.0\n[profile]\nsetpoint_um = 2.0\n\
     [trials]\ncount = 3\n[[between]]\nduration_ms = 5.0\ncontroller = { law = \"deadbeat\", period_ms = 0.5 }\n\
     profile = { setpoint_um = 1.0 }\n[[expect]]\nmetric = \"trial_difference_um\"\nat_most = 1e-6\n";
 
-const PLATE: &str = include_str!("../../../../scenarios/plates/aluminium-198x138.toml");
-
 /// Counts configurations. With `has_fault`, drives less after it has run `deadbeat`.
-struct Remembering<'a> {
-    inner: HostedLink,
-    has_fault: bool,
-    has_run_deadbeat: bool,
-    configurations: &'a AtomicU32,
-}
-
-impl Link for Remembering<'_> {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        for packet in packets(bytes) {
-            if let Message::Configure(configure) = packet.message {
-                self.configurations.fetch_add(1, Ordering::Relaxed);
-                self.has_run_deadbeat |= configure.law == LawId::Deadbeat;
+fn remembering_link(has_fault: bool, configurations: Arc<AtomicU32>) -> impl Link {
+    let mut has_run_deadbeat = false;
+    link_with_changed_answers(move |_, requests, answers| {
+        for request in requests {
+            if let Message::Configure(configure) = request.message {
+                configurations.fetch_add(1, Ordering::Relaxed);
+                has_run_deadbeat |= configure.law == LawId::Deadbeat;
             }
         }
-        let mut received = Vec::new();
-        let delay = self.inner.exchange(now, bytes, &mut received)?;
-        for packet in &mut packets(&received) {
-            if let Message::Command(command) = &mut packet.message
-                && self.has_fault
-                && self.has_run_deadbeat
-            {
-                command.drive_vpp *= 0.999;
-            }
-            answer.extend(packet.encode().as_bytes());
+        if has_fault && has_run_deadbeat {
+            commands(answers).for_each(|command| command.drive_vpp *= 0.999);
         }
-        Ok(delay)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.has_run_deadbeat = false;
-        self.inner.restart()
-    }
-
-    fn continue_trial(&mut self) {
-        self.inner.continue_trial();
-    }
+    })
 }
 
 /// Returns the record, the number of connections and the number of configurations.
 fn play(text: &str, has_fault: bool, jobs: usize) -> (RunRecord, u32, u32) {
     let folder = tempfile::tempdir().unwrap();
     let scenario = write_scenario(folder.path(), text, PLATE);
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
-    let (connections, configurations) = (AtomicU32::new(0), &*Box::leak(Box::new(AtomicU32::new(0))));
+    let out = folder.path().join("run");
+    let (connections, configurations) = (AtomicU32::new(0), Arc::new(AtomicU32::new(0)));
     let connect = || {
         connections.fetch_add(1, Ordering::Relaxed);
-        let inner = HostedLink::new();
-        Ok(Box::new(Remembering { inner, has_fault, has_run_deadbeat: false, configurations }) as BoxedLink)
+        remembering_link(has_fault, Arc::clone(&configurations))
     };
-    let mut plan = plan(vec![scenario], LOCKSTEP);
-    plan.jobs = jobs;
-    let record = run(&plan, &run_folder, &connect, RunHooks::default()).unwrap();
-    let judged = rejudge(run_folder.path(), None).unwrap();
+    let plan = RunPlan { jobs, ..plan(vec![scenario], LOCKSTEP) };
+    let record = run_with_link(&plan, &out, connect).unwrap();
+    let judged = rejudge(&out, None).unwrap();
     assert_eq!(judged.scenarios[0].expectations, record.scenarios[0].expectations);
     (record, connections.into_inner(), configurations.load(Ordering::Relaxed))
 }

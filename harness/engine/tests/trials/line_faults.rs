@@ -1,8 +1,7 @@
 //! Tests planned faults of the line in a real-time trial whose time is simulated.
 
-use crate::fixtures::{REAL_TIME, new_link, plan};
-use platebench_engine::{RunHooks, run};
-use platebench_model::record::{RunFolder, Verdict};
+use crate::fixtures::{REAL_TIME, new_link, plan, run_with_link};
+use platebench_model::record::Verdict;
 use platebench_model::trace::{Flags, read_trace};
 use platebench_test_kit::load_scenario;
 use rstest::rstest;
@@ -22,10 +21,9 @@ fn wire_faults_act_in_real_time(
     #[case] runs_at_the_end: bool,
 ) {
     let folder = tempfile::tempdir().unwrap();
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
     let scenario = load_scenario(&format!("faults/{name}.toml"));
-    let connect = || Ok(new_link(REAL_TIME));
-    let record = run(&plan(vec![scenario], REAL_TIME), &run_folder, &connect, RunHooks::default()).unwrap();
+    let out = folder.path().join("run");
+    let record = run_with_link(&plan(vec![scenario], REAL_TIME), &out, || new_link(REAL_TIME)).unwrap();
     let trial = &record.scenarios[0].trials[0];
     let (telemetry, timing) = (&trial.telemetry, trial.telemetry.timing.as_ref().unwrap());
     assert_eq!((record.verdict, record.safe_confirmed), (Verdict::Pass, Some(true)), "{:?}", trial.reason);
@@ -34,7 +32,7 @@ fn wire_faults_act_in_real_time(
     assert_eq!(applied, [(kind, counts[0])]);
     assert_eq!([timing.missed_replies, timing.lost_replies], counts[1..], "{timing:?}");
     assert_eq!(telemetry.stopped.as_deref(), reason);
-    let rows = read_trace(&run_folder.path().join(&trial.trace)).unwrap();
+    let rows = read_trace(&out.join(&trial.trace)).unwrap();
     let was_at_rest = rows.iter().any(|row| row.flags.contains(Flags::SAFE) && row.drive_vpp == 0.0);
     assert_eq!(was_at_rest, reason.is_some());
     assert_eq!(rows.last().unwrap().drive_vpp > 0.0, runs_at_the_end, "configured again or not");

@@ -1,47 +1,12 @@
-use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
-use platebench_engine::{RunHooks, rejudge, run};
-use platebench_model::record::{
-    Cause, Exclusion, NonFiniteDrive, RunFolder, RunRecord, ScenarioRecord, TrialReason, Verdict,
-};
+use crate::fixtures::{FIG13, LOCKSTEP, plan, run_with_link};
+use platebench_engine::rejudge;
+use platebench_model::record::{Cause, Exclusion, NonFiniteDrive, RunRecord, ScenarioRecord, TrialReason, Verdict};
 use platebench_model::scenario::Scenario;
-use platebench_rig::{HostedLink, Link, LinkError};
-use platebench_test_kit::load_scenario;
-use platebench_wire::{ControllerState, Message};
+use platebench_test_kit::{commands, link_with_changed_answers, load_scenario};
+use platebench_wire::{Command, ControllerState};
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
-
-/// Replaces the drive of every command after `from`, except in the confirmation of 0 V.
-struct FixedDriveLink {
-    inner: HostedLink,
-    drive_vpp: f32,
-    from: Duration,
-}
-
-impl Link for FixedDriveLink {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let mut plain = Vec::new();
-        let took = self.inner.exchange(now, bytes, &mut plain)?;
-        for mut packet in packets(&plain) {
-            if let Message::Command(command) = &mut packet.message
-                && now >= self.from
-                && command.state != ControllerState::Safe
-            {
-                command.drive_vpp = self.drive_vpp;
-            }
-            answer.extend_from_slice(packet.encode().as_bytes());
-        }
-        Ok(took)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.inner.restart()
-    }
-}
 
 fn assert_finite_numbers(folder: &Path) {
     for entry in fs::read_dir(folder).unwrap() {
@@ -63,15 +28,16 @@ fn run_with_drive(drive: f32) -> RunRecord {
     live
 }
 
+/// Replaces the drive of every command after `from_ms`, except in the confirmation of 0 V.
 fn run_and_rejudge(scenario: Scenario, drive_vpp: f32, from_ms: u64) -> (RunRecord, Vec<ScenarioRecord>) {
     let folder = tempfile::tempdir().unwrap();
+    let link = link_with_changed_answers(move |now, _, answers| {
+        let is_changed =
+            |command: &&mut Command| now >= Duration::from_millis(from_ms) && command.state != ControllerState::Safe;
+        commands(answers).filter(is_changed).for_each(|command| command.drive_vpp = drive_vpp);
+    });
     let out = folder.path().join("run");
-    let connect = || {
-        let link = FixedDriveLink { inner: HostedLink::new(), drive_vpp, from: Duration::from_millis(from_ms) };
-        Ok(Box::new(link) as Box<dyn Link>)
-    };
-    let run_folder = RunFolder::create(Some(&out)).unwrap();
-    let live = run(&plan(vec![scenario], LOCKSTEP), &run_folder, &connect, RunHooks::default()).unwrap();
+    let live = run_with_link(&plan(vec![scenario], LOCKSTEP), &out, || link.clone()).unwrap();
     assert_finite_numbers(&out);
     (live, rejudge(&out, None).unwrap().scenarios)
 }

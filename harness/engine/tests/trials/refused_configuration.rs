@@ -1,12 +1,12 @@
 //! Checks that a refused configuration is the controller's failure, and that the run continues.
 
-use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
-use platebench_engine::{Clock, RunError, RunHooks, run};
-use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
+use crate::fixtures::{FIG13, LOCKSTEP, plan, run_with_link};
+use platebench_engine::{Clock, RunError};
+use platebench_model::record::{RunRecord, Verdict, ViolationKind};
 use platebench_model::scenario::Scenario;
 use platebench_plate::Time;
-use platebench_rig::{HostedLink, Link, LinkError, WallClockLink};
-use platebench_test_kit::load_scenario;
+use platebench_rig::{BoxedLink, Link, WallClockLink};
+use platebench_test_kit::{ScriptedLink, load_scenario, packets};
 use platebench_wire::{Configured, Message, Packet, Rejection};
 use rstest::rstest;
 use std::time::Duration;
@@ -14,29 +14,18 @@ use std::time::Duration;
 /// Refuses configurations with this control period, µs.
 const REFUSED_US: u32 = 2_000;
 
-struct RefusingLink(HostedLink);
-
-impl Link for RefusingLink {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let requests = packets(bytes);
-        let is_refused = |packet: &&Packet| matches!(packet.message, Message::Configure(configure) if configure.period_us == REFUSED_US);
-        match requests.iter().find(is_refused) {
-            Some(&Packet { sequence, .. }) => {
+fn refusing_link() -> impl Link {
+    ScriptedLink::new(|controller, now, bytes, answer| {
+        let is_refused = |packet: &Packet| matches!(packet.message, Message::Configure(configure) if configure.period_us == REFUSED_US);
+        match packets(bytes).into_iter().find(is_refused) {
+            Some(Packet { sequence, .. }) => {
                 let message = Message::Configured(Configured { outcome: Err(Rejection::Value) });
                 answer.extend_from_slice(Packet { sequence, message }.encode().as_bytes());
                 Ok(Duration::ZERO)
             }
-            None => self.0.exchange(now, bytes, answer),
+            None => controller.exchange(now, bytes, answer),
         }
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.0.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.0.restart()
-    }
+    })
 }
 
 fn with_period(period_us: u64) -> Scenario {
@@ -48,12 +37,11 @@ fn with_period(period_us: u64) -> Scenario {
 
 fn play(scenarios: Vec<Scenario>, clock: Clock) -> Result<RunRecord, RunError> {
     let folder = tempfile::tempdir().unwrap();
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
-    let connect = || -> Result<Box<dyn Link>, _> {
-        let link = RefusingLink(HostedLink::new());
-        Ok(if clock == LOCKSTEP { Box::new(link) } else { Box::new(WallClockLink::new(link)) })
+    let connect = || -> BoxedLink {
+        let link = refusing_link();
+        if clock == LOCKSTEP { Box::new(link) } else { Box::new(WallClockLink::new(link)) }
     };
-    run(&plan(scenarios, clock), &run_folder, &connect, RunHooks::default())
+    run_with_link(&plan(scenarios, clock), &folder.path().join("run"), connect)
 }
 
 fn violations(record: &RunRecord, scenario: usize) -> Vec<ViolationKind> {

@@ -1,54 +1,44 @@
 //! Checks that a run ends if every command of the controller has a wrong layout.
 
-use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
-use platebench_engine::{MAX_LOSSES, RunError, RunHooks, run};
-use platebench_model::record::{RunFolder, RunRecord, Verdict};
-use platebench_rig::{BoxedLink, HostedLink, Link, LinkError};
-use platebench_test_kit::load_scenario;
+use crate::fixtures::{FIG13, LOCKSTEP, plan, run_with_link};
+use platebench_engine::{MAX_LOSSES, RunError};
+use platebench_model::record::{RunRecord, Verdict};
+use platebench_rig::Link;
+use platebench_test_kit::{ScriptedLink, load_scenario, packets};
 use platebench_wire::Message;
-use std::time::Duration;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Answers samples with frames of 26 bytes, expected are 24. The samples of the first trials have
 /// correct answers.
-struct LongCommands {
-    controller: HostedLink,
-    correct_trials: u32,
-    configurations: u32,
-}
-
-impl Link for LongCommands {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let delay = self.controller.exchange(now, bytes, answer)?;
+fn link_with_long_commands(correct_trials: u32) -> impl Link {
+    // Each trial restarts the script, so the count is shared.
+    let configurations = Arc::new(AtomicU32::new(0));
+    ScriptedLink::new(move |controller, now, bytes, answer| {
+        let delay = controller.exchange(now, bytes, answer)?;
         let has = |kind: fn(&Message) -> bool| packets(bytes).iter().any(|packet| kind(&packet.message));
-        self.configurations += u32::from(has(|message| matches!(message, Message::Configure(_))));
-        if self.configurations > self.correct_trials && has(|message| matches!(message, Message::Sample(_))) {
+        if has(|message| matches!(message, Message::Configure(_))) {
+            configurations.fetch_add(1, Ordering::Relaxed);
+        }
+        let is_wrong = configurations.load(Ordering::Relaxed) > correct_trials;
+        if is_wrong && has(|message| matches!(message, Message::Sample(_))) {
             answer.clear();
             answer.extend([1; 25].into_iter().chain([0]));
         }
         Ok(delay)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.controller.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.controller.restart()
-    }
+    })
 }
 
 fn play(trials: u32, correct_trials: u32) -> Result<RunRecord, RunError> {
     let folder = tempfile::tempdir().unwrap();
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
     let scenarios = (0..trials).map(|number| {
         let mut scenario = load_scenario(FIG13);
         scenario.file = format!("{number}.toml");
         scenario
     });
-    let connect = || -> Result<BoxedLink, _> {
-        Ok(Box::new(LongCommands { controller: HostedLink::new(), correct_trials, configurations: 0 }))
-    };
-    run(&plan(scenarios.collect(), LOCKSTEP), &run_folder, &connect, RunHooks::default())
+    run_with_link(&plan(scenarios.collect(), LOCKSTEP), &folder.path().join("run"), || {
+        link_with_long_commands(correct_trials)
+    })
 }
 
 #[test]

@@ -1,8 +1,8 @@
-use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, new_link, packets, plan};
-use platebench_engine::{Clock, RunError, RunHooks, run};
-use platebench_model::record::{Cause, RunFolder, RunRecord, Verdict};
+use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, new_link, plan, run_with_link};
+use platebench_engine::{Clock, RunError};
+use platebench_model::record::{Cause, RunRecord, Verdict};
 use platebench_rig::{BoxedLink, Link, LinkError, RealTimeLine};
-use platebench_test_kit::load_scenario;
+use platebench_test_kit::{load_scenario, packets};
 use platebench_wire::Message;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
@@ -78,20 +78,15 @@ fn run_on_boards(clock: Clock, failure: BoardFailure, numbers: [u8; 2]) -> (Resu
     let mut scenario = load_scenario(FIG13);
     (scenario.trials.count, scenario.trials.max_count) = (2, 2);
     let folder = tempfile::tempdir().unwrap();
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
     let connections = AtomicU8::new(0);
     let connect = || {
         let count = connections.fetch_add(1, Ordering::Relaxed);
         let number = numbers[usize::from(count.min(1))];
-        Ok(Box::new(FailingBoard {
-            inner: new_link(clock),
-            number,
-            failure: (count == 0).then_some(failure),
-            samples: 0,
-        }) as BoxedLink)
+        FailingBoard { inner: new_link(clock), number, failure: (count == 0).then_some(failure), samples: 0 }
     };
-    let result = run(&plan(vec![scenario], clock), &run_folder, &connect, RunHooks::default());
-    (result, RunRecord::read(run_folder.path()).unwrap())
+    let out = folder.path().join("run");
+    let result = run_with_link(&plan(vec![scenario], clock), &out, connect);
+    (result, RunRecord::read(&out).unwrap())
 }
 
 #[test]

@@ -1,37 +1,22 @@
 //! Checks that a port that vanishes for a moment is awaited before the next trial.
 
-use crate::fixtures::{FIG13, packets};
+use crate::fixtures::FIG13;
 use platebench_engine::{Executor, ExecutorSettings, RunError, SafeEnds, law};
 use platebench_rig::{CancelToken, ConnectError, HostedLink, Link, LinkError, RigSpec};
-use platebench_test_kit::load_scenario;
+use platebench_test_kit::{ScriptedLink, load_scenario, packets};
 use platebench_wire::Message;
 use rstest::rstest;
-use std::cell::Cell;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Duration;
 
 /// Hosted controller whose line is lost at the first sample, if `is_lost`.
-struct FragileLink {
-    device: HostedLink,
-    is_lost: Cell<bool>,
-}
-
-impl Link for FragileLink {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
+fn fragile_link(is_lost: bool) -> impl Link {
+    ScriptedLink::new(move |controller, now, bytes, answer| {
         let has_sample = packets(bytes).iter().any(|packet| matches!(packet.message, Message::Sample(_)));
-        if self.is_lost.get() && has_sample {
+        if is_lost && has_sample {
             return Err(LinkError::Disconnected("the device is gone".to_owned()));
         }
-        self.device.exchange(now, bytes, answer)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.device.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.device.restart()
-    }
+        controller.exchange(now, bytes, answer)
+    })
 }
 
 /// The real error of a port that is not there.
@@ -58,9 +43,9 @@ fn a_port_that_returns_plays_the_next_trial(
     let scenario = load_scenario(FIG13);
     let connections = AtomicU32::new(0);
     let connect = || match connections.fetch_add(1, Ordering::Relaxed) {
-        0 => Ok(FragileLink { device: HostedLink::new(), is_lost: Cell::new(true) }),
+        0 => Ok(fragile_link(true)),
         number if number <= attempts => Err(error()),
-        _ => Ok(FragileLink { device: HostedLink::new(), is_lost: Cell::new(false) }),
+        _ => Ok(fragile_link(false)),
     };
     let (ends, cancel) = (SafeEnds::default(), CancelToken::never());
     let mut executor = Executor::new(&connect, ExecutorSettings::lockstep(&cancel), &ends);

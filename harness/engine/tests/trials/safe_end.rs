@@ -1,8 +1,8 @@
-use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, new_link, packets, plan};
-use platebench_engine::{RunError, RunHooks, run};
-use platebench_model::record::{RunFolder, RunRecord};
+use crate::fixtures::{FIG13, LOCKSTEP, REAL_TIME, new_link, plan, run_with_link};
+use platebench_engine::RunError;
+use platebench_model::record::RunRecord;
 use platebench_rig::{BoxedLink, Link, LinkError, RealTimeLine};
-use platebench_test_kit::load_scenario;
+use platebench_test_kit::{load_scenario, packets};
 use platebench_wire::{ControllerState, Message};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -141,19 +141,15 @@ impl RealTimeLine for FailingLink {
 
 fn run_with_failure(failure: InjectedFailure) -> (Result<RunRecord, RunError>, RunRecord, Vec<LinkEvent>) {
     let folder = tempfile::tempdir().unwrap();
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
     let lockstep = matches!(failure, InjectedFailure::PanicOnExchange | InjectedFailure::LostOnExchange);
     let mut scenario = load_scenario(FIG13);
     scenario.trials.count = 1;
     let clock = if lockstep { LOCKSTEP } else { REAL_TIME };
-    let plan = plan(vec![scenario], clock);
     let log = EventLog::default();
-    let connect = || {
-        let link = FailingLink { inner: new_link(clock), failure, samples: 0, failed: false, log: Arc::clone(&log) };
-        Ok(Box::new(link) as BoxedLink)
-    };
-    let result = run(&plan, &run_folder, &connect, RunHooks::default());
-    let record = RunRecord::read(run_folder.path()).unwrap();
+    let connect = || FailingLink { inner: new_link(clock), failure, samples: 0, failed: false, log: Arc::clone(&log) };
+    let out = folder.path().join("run");
+    let result = run_with_link(&plan(vec![scenario], clock), &out, connect);
+    let record = RunRecord::read(&out).unwrap();
     let events = log.lock().unwrap().clone();
     (result, record, events)
 }

@@ -1,60 +1,35 @@
 //! Checks that doubled answers, an invented confirmation of 0 V and damaged frames have reasons of
 //! their own.
 
-use crate::fixtures::{FIG13, LOCKSTEP, packets, plan};
-use platebench_engine::{RunHooks, run};
-use platebench_model::record::{RunFolder, RunRecord, Verdict, ViolationKind};
-use platebench_rig::{HostedLink, Link, LinkError, LinkKind, Session};
-use platebench_test_kit::{IDENTITY, load_scenario};
+use crate::fixtures::{FIG13, LOCKSTEP, plan, run_with_link};
+use platebench_model::record::{RunRecord, Verdict, ViolationKind};
+use platebench_rig::{HostedLink, Link, LinkKind, Session};
+use platebench_test_kit::{IDENTITY, ScriptedLink, load_scenario, packets};
 use platebench_wire::{Command, Configured, ControllerState, Gains, Message, Packet, Tick};
 use rstest::rstest;
-use std::time::Duration;
 
 const NO_GAINS: Gains = Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
-
-/// `more` returns the frame that the controller sends besides its answer.
-struct TalkingLink {
-    inner: HostedLink,
-    kind: LinkKind,
-    more: fn(&Packet) -> Option<Vec<u8>>,
-}
-
-impl Link for TalkingLink {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let from = answer.len();
-        let delay = self.inner.exchange(now, bytes, answer)?;
-        for packet in packets(&answer[from..]) {
-            answer.extend((self.more)(&packet).into_iter().flatten());
-        }
-        Ok(delay)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, received)
-    }
-
-    fn kind(&self) -> LinkKind {
-        self.kind
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.inner.restart()
-    }
-}
 
 fn frame(packet: &Packet) -> Vec<u8> {
     packet.encode().as_bytes().to_vec()
 }
 
+/// `more` returns the frame that the controller sends besides its answer.
 fn run_with(more: fn(&Packet) -> Option<Vec<u8>>) -> RunRecord {
     run_on(LinkKind::Simulated, more)
 }
 
 fn run_on(kind: LinkKind, more: fn(&Packet) -> Option<Vec<u8>>) -> RunRecord {
-    let folder = tempfile::tempdir().unwrap();
-    let run_folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
-    let connect = || Ok(Box::new(TalkingLink { inner: HostedLink::new(), kind, more }) as Box<dyn Link>);
-    run(&plan(vec![load_scenario(FIG13)], LOCKSTEP), &run_folder, &connect, RunHooks::default()).unwrap()
+    let link = ScriptedLink::new(move |controller, now, bytes, answer| {
+        let from = answer.len();
+        let delay = controller.exchange(now, bytes, answer)?;
+        for packet in packets(&answer[from..]) {
+            answer.extend(more(&packet).into_iter().flatten());
+        }
+        Ok(delay)
+    });
+    let (link, folder) = (link.of_kind(kind), tempfile::tempdir().unwrap());
+    run_with_link(&plan(vec![load_scenario(FIG13)], LOCKSTEP), &folder.path().join("run"), || link.clone()).unwrap()
 }
 
 fn violations(record: &RunRecord) -> Vec<ViolationKind> {

@@ -439,8 +439,7 @@ mod tests {
 
     #[test]
     fn a_controller_without_the_capability_gets_no_loop_delay() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml");
-        let envelope = Envelope::load(&path).unwrap();
+        let envelope = Envelope::load(&platebench_test_kit::scenario_path("envelope.toml")).unwrap();
         let identity = *Session::open(FaultInjector::new(RigSpec::hosted().connect().unwrap())).unwrap().identity();
         assert_eq!(envelope_for(&envelope, &identity).range.loop_delay_periods, envelope.range.loop_delay_periods);
         let without = Identity { capabilities: 0, ..identity };

@@ -9,12 +9,13 @@ use platebench_experiments::explore::shrink::shrink_scene;
 use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, ExploreError, Player, Property, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
-use platebench_model::scenario::{Scenario, load};
+use platebench_model::scenario::Scenario;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, RigSpec};
+use platebench_test_kit::load_scenario;
 use platebench_wire::{LawId, Message};
 use rstest::rstest;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
@@ -156,9 +157,7 @@ fn an_interrupted_exploration_writes_its_result() {
 
 #[test]
 fn a_regression_that_does_not_apply_is_in_the_report() {
-    let scenarios = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios");
-    let regressions = ["chip/random-flip.toml", "paper/fig13-closed-loop.toml"]
-        .map(|file| load(&scenarios.join(file), file).unwrap());
+    let regressions = ["chip/random-flip.toml", "paper/fig13-closed-loop.toml"].map(load_scenario);
     let session = session(ExplorationBudget::Scenes(1), regressions.to_vec());
     let folder = tempfile::tempdir().unwrap();
     let (report, _) = session.run(&CancelToken::never(), folder.path(), &mut |_| {}).unwrap();

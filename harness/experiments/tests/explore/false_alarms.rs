@@ -5,7 +5,8 @@ use platebench_engine::SafeEnds;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::{ExploreConfig, LawProperties, Player};
 use platebench_experiments::trust::{Mutant, MutantController, clean_variants};
-use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Link, LinkError, Session};
+use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Link, Session};
+use platebench_test_kit::ScriptedLink;
 use platebench_wire::{LawId, Message, Packet};
 use rstest::rstest;
 use std::time::Duration;
@@ -15,25 +16,11 @@ fn boxed(change: fn(&mut Message)) -> Box<dyn Mutant> {
 }
 
 /// A controller that answers late, in a time that its rig measures.
-struct Late(HostedLink);
-
-impl Link for Late {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        self.0.exchange(now, bytes, answer)?;
+fn late_controller() -> BoxedLink {
+    Box::new(ScriptedLink::new(|controller, now, bytes, answer| {
+        controller.exchange(now, bytes, answer)?;
         Ok(Duration::from_micros(300))
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.0.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.0.restart()
-    }
-
-    fn continue_trial(&mut self) {
-        self.0.continue_trial();
-    }
+    }))
 }
 
 struct TwoMillihertz;
@@ -83,7 +70,7 @@ fn correct_controllers() -> Vec<Variant> {
         changed("two-millihertz", LawId::DqPi, true, || Box::new(TwoMillihertz)),
         changed("only-deadbeat", LawId::Deadbeat, true, || boxed(only_deadbeat)),
         changed("only-dq-pi-fixed", LawId::DqPiFixed, true, || boxed(only_fixed)),
-        ("late", LawId::DqPi, true, Box::new(|| Box::new(Late(HostedLink::new())) as BoxedLink)),
+        ("late", LawId::DqPi, true, Box::new(late_controller)),
         ("firmware", LawId::DqPi, true, Box::new(|| Box::new(HostedLink::new()) as BoxedLink)),
     ];
     clean.chain(others).collect()

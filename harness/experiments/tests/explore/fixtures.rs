@@ -3,15 +3,16 @@
 use platebench_engine::{Executor, ExecutorSettings, SafeEnds, law};
 use platebench_experiments::explore::{Envelope, ExplorationBudget, ExploreConfig, ExploredLaw};
 use platebench_experiments::trust::{Mutant, MutantController};
-use platebench_model::scenario::{OWN_LAW, load};
+use platebench_model::scenario::OWN_LAW;
 use platebench_rig::{BoxedLink, CancelToken, HostedLink};
+use platebench_test_kit::{load_scenario, scenario_path};
 use platebench_verdict::{Judgement, judge, measure};
 use platebench_wire::LawId;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 pub(crate) fn envelope_path() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/envelope.toml")
+    scenario_path("envelope.toml")
 }
 
 pub(crate) fn configuration(law: impl Into<ExploredLaw>, scenes: u64) -> ExploreConfig {
@@ -35,8 +36,7 @@ pub(crate) fn configuration(law: impl Into<ExploredLaw>, scenes: u64) -> Explore
 
 /// Plays a scenario of the repository with an own law.
 pub(crate) fn judge_own_law(file: &str, build: fn() -> Box<dyn Mutant>) -> Judgement {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-    let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+    let mut scenario = load_scenario(file);
     scenario.set_law(OWN_LAW);
     let connect = || Ok(Box::new(MutantController::new(HostedLink::new(), build)) as BoxedLink);
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());

@@ -5,62 +5,34 @@ use platebench_engine::{Clock, RunHooks, RunPlan, SafeEnds, run};
 use platebench_experiments::campaign::{Campaign, PlayConfig, TrialSource, play_trials};
 use platebench_experiments::explore::Player;
 use platebench_model::record::{Overrides, RunFolder};
-use platebench_model::scenario::{Scenario, load};
-use platebench_rig::{BoxedLink, CancelToken, HostedLink, Link, LinkError, RigSpec};
-use platebench_wire::{Message, PacketReader, Sample};
+use platebench_model::scenario::Scenario;
+use platebench_rig::{BoxedLink, CancelToken, Link, RigSpec};
+use platebench_test_kit::{ScriptedLink, load_scenario, packets, scenario_path};
+use platebench_wire::{Message, Sample};
 use rstest::rstest;
-use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
-
-type SampleLog = Arc<Mutex<Vec<Sample>>>;
-
-struct LoggedLink {
-    inner: HostedLink,
-    log: SampleLog,
-}
-
-impl Link for LoggedLink {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        for packet in PacketReader::new().packets(bytes).flatten() {
-            if let Message::Sample(sample) = packet.message {
-                self.log.lock().unwrap().push(sample);
-            }
-        }
-        self.inner.exchange(now, bytes, answer)
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.inner.restart()
-    }
-
-    fn continue_trial(&mut self) {
-        self.inner.continue_trial();
-    }
-}
 
 fn samples(play: impl FnOnce(&(dyn Fn() -> BoxedLink + Send + Sync))) -> Vec<Sample> {
-    let log = SampleLog::default();
-    let connect = || -> BoxedLink { Box::new(LoggedLink { inner: HostedLink::new(), log: Arc::clone(&log) }) };
-    play(&connect);
+    let log = Arc::new(Mutex::new(Vec::new()));
+    play(&|| {
+        let log = Arc::clone(&log);
+        Box::new(ScriptedLink::new(move |controller, now, bytes, answer| {
+            for packet in packets(bytes) {
+                if let Message::Sample(sample) = packet.message {
+                    log.lock().unwrap().push(sample);
+                }
+            }
+            controller.exchange(now, bytes, answer)
+        }))
+    });
     let samples = log.lock().unwrap();
     samples.clone()
 }
 
 fn play_by_run(scenario: &Scenario, connect: &(dyn Fn() -> BoxedLink + Send + Sync)) {
     let folder = tempfile::tempdir().unwrap();
-    let plan = RunPlan {
-        scenarios: vec![scenario.clone()],
-        jobs: 1,
-        clock: Clock::Lockstep { wire_time: false },
-        own_clock: false,
-        rig: "hosted".to_owned(),
-        overrides: Overrides::default(),
-    };
+    let clock = Clock::Lockstep { wire_time: false };
+    let plan = RunPlan::new(&RigSpec::hosted(), clock, 1, vec![scenario.clone()], Overrides::default());
     let folder = RunFolder::create(Some(&folder.path().join("run"))).unwrap();
     run(&plan, &folder, &|| Ok(connect()), RunHooks::default()).unwrap();
 }
@@ -70,8 +42,7 @@ fn play_by_run(scenario: &Scenario, connect: &(dyn Fn() -> BoxedLink + Send + Sy
 #[case::noise("paper/fig13-closed-loop.toml")]
 #[case::faults("faults/lost-command.toml")]
 fn run_explore_and_trust_play_the_same_trials(#[case] file: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file);
-    let scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+    let scenario = load_scenario(file);
     let by_run = samples(|connect| play_by_run(&scenario, connect));
     let by_trust = samples(|connect| {
         platebench_experiments::trust::play(&scenario, "reference", connect).unwrap();
@@ -91,14 +62,15 @@ fn run_explore_and_trust_play_the_same_trials(#[case] file: &str) {
 #[case::loop_delay("limits/one-period-delay.toml")]
 #[case::faults("faults/lost-command.toml")]
 fn a_campaign_plays_the_trial_of_run(#[case] file: &str) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(file).canonicalize().unwrap();
-    let mut scenario = load(&path, file).unwrap_or_else(|fault| panic!("{fault}"));
+    let mut scenario = load_scenario(file);
     (scenario.trials.count, scenario.trials.max_count) = (1, 1);
     let folder = tempfile::tempdir().unwrap();
     let text = format!(
         "title = \"one trial\"\nscenario = {:?}\n[vary]\n\"controller.law\" = {{ each = [{:?}] }}\n\
          [plan]\nmethod = \"grid\"\ntrials = 1\nseed = {}\n",
-        path, scenario.controller.law, scenario.trials.seed
+        scenario_path(file),
+        scenario.controller.law,
+        scenario.trials.seed
     );
     let campaign = folder.path().join("campaign.toml");
     std::fs::write(&campaign, text).unwrap();

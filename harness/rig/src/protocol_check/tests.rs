@@ -1,5 +1,5 @@
-use super::comparison::packets;
 use super::*;
+use crate::scripted_link::{ScriptedLink, commands, packets};
 use crate::session::Session;
 use platebench_model::scenario::ConfigurationChange;
 use platebench_test_kit::CONFIGURE;
@@ -62,10 +62,17 @@ impl<F: FnMut(usize, &mut Vec<Packet>) + Send> Link for ChangedAnswers<F> {
     }
 }
 
-fn check(kind: LinkKind, change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> ProtocolCheck {
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
+fn check(
+    kind: LinkKind,
+    options: CheckOptions<'_>,
+    change: impl FnMut(usize, &mut Vec<Packet>) + Send,
+) -> ProtocolCheck {
     let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind, change };
-    check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap()
+    check_protocol(&mut link, &identity(), &CONFIGURE, options).unwrap()
+}
+
+fn identity() -> Identity {
+    *Session::open(HostedLink::new()).unwrap().identity()
 }
 
 fn texts(check: &ProtocolCheck) -> Vec<String> {
@@ -73,32 +80,24 @@ fn texts(check: &ProtocolCheck) -> Vec<String> {
 }
 
 fn differences(change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
-    texts(&check(LinkKind::Simulated, change))
+    texts(&check(LinkKind::Simulated, scripts(), change))
 }
 
-/// Controller that designs its gains for a plate gain K1 multiplied by the first factor, and
-/// multiplies all gains by the second one.
-struct OtherDesign(HostedLink, [f32; 2]);
-
-impl Link for OtherDesign {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        match packets(bytes).as_slice() {
-            [Packet { sequence, message: Message::Configure(configure) }] => {
-                let [gain, design] = if configure.gains.is_none() { self.1 } else { [self.1[0], 1.0] };
-                let message = Message::Configure(Configure {
-                    gain_um_per_vpp: configure.gain_um_per_vpp * gain,
-                    response_time_s: script::scaled_response_time(configure, design),
-                    ..*configure
-                });
-                self.0.exchange(now, Packet { sequence: *sequence, message }.encode().as_bytes(), answer)
-            }
-            _ => self.0.exchange(now, bytes, answer),
+/// Returns a controller that designs its gains for a plate gain K1 multiplied by the first factor,
+/// and multiplies all gains by the second one.
+fn link_with_other_design(factors: [f32; 2]) -> impl Link {
+    ScriptedLink::new(move |controller, now, bytes, answer| match packets(bytes).as_slice() {
+        [Packet { sequence, message: Message::Configure(configure) }] => {
+            let [gain, design] = if configure.gains.is_none() { factors } else { [factors[0], 1.0] };
+            let message = Message::Configure(Configure {
+                gain_um_per_vpp: configure.gain_um_per_vpp * gain,
+                response_time_s: script::scaled_response_time(configure, design),
+                ..*configure
+            });
+            controller.exchange(now, Packet { sequence: *sequence, message }.encode().as_bytes(), answer)
         }
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.0.advance_to(now, received)
-    }
+        _ => controller.exchange(now, bytes, answer),
+    })
 }
 
 #[rstest]
@@ -110,19 +109,11 @@ impl Link for OtherDesign {
     &["random samples with the law's own design",
     "gains of the law's own design", "gains that are not used", "configurations that differ in one figure"])]
 fn a_design_may_be_five_percent_off(#[case] factors: [f32; 2], #[case] expected: &[&str]) {
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
-    let mut link = OtherDesign(HostedLink::new(), factors);
-    let mut found = texts(&check_protocol(&mut link, &identity, &CONFIGURE, scripts()).unwrap());
+    let mut link = link_with_other_design(factors);
+    let mut found = texts(&check_protocol(&mut link, &identity(), &CONFIGURE, scripts()).unwrap());
     found.sort_unstable();
     assert_eq!(names(&found).iter().filter(|name| !expected.contains(name)).count(), 0, "{found:?}");
     assert_eq!(found.is_empty(), expected.is_empty());
-}
-
-fn commands(packets: &mut [Packet]) -> impl Iterator<Item = &mut Command> {
-    packets.iter_mut().filter_map(|packet| match &mut packet.message {
-        Message::Command(command) => Some(command),
-        _ => None,
-    })
 }
 
 fn names(found: &[String]) -> Vec<&str> {
@@ -170,10 +161,8 @@ fn a_reported_frequency_may_differ_by_five_millihertz(#[case] offset_mhz: u32, #
             command.frequency_mhz += offset_mhz;
         }
     };
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
-    let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
     let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
-    let found = texts(&check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap());
+    let found = texts(&check(LinkKind::Simulated, options, change));
     assert_eq!(found.len(), differences, "{found:?}");
 }
 
@@ -211,16 +200,14 @@ fn the_law_of_a_configuration_decides_what_is_compared(#[case] law: LawId, #[cas
             command.flags = 0;
         }
     };
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
-    let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
     let options = CheckOptions { messages: &messages, compares_numbers: true, ..scripts() };
-    let found = texts(&check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap());
+    let found = texts(&check(LinkKind::Simulated, options, change));
     assert_eq!(found.len(), differences, "{found:?}");
 }
 
 #[rstest]
 fn the_built_in_scripts_are_valid(#[values(0, 15)] capabilities: u8, #[values(false, true)] own_law: bool) {
-    let identity = Identity { capabilities, ..*Session::open(HostedLink::new()).unwrap().identity() };
+    let identity = Identity { capabilities, ..identity() };
     let all = scripts::scripts(&CONFIGURE, &identity, 1, own_law).unwrap();
     // Two scripts need ticks, one a loop delay; one needs a controller without a plate of its own, five one without
     // a law of its own.
@@ -254,9 +241,8 @@ each = ["each"]"#,
 #[case::condition(r#"condition = "tick""#, "unknown variant `tick`")]
 #[case::value("messages = [[2.0, 1.2]]", "TOML parse error at line 5, column 12")]
 fn an_invalid_file_is_an_error(#[case] script: &str, #[case] message: &str) {
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let file = format!("configuration = {{}}\nmessage = {{}}\n[[script]]\nname = 'x'\n{script}\n");
-    let error = scripts::scripts_of(&file, &CONFIGURE, &identity, false).unwrap_err();
+    let error = scripts::scripts_of(&file, &CONFIGURE, &identity(), false).unwrap_err();
     assert!(error.contains(message), "{error}");
 }
 
@@ -270,9 +256,8 @@ fn only_an_option_decides_which_scripts_are_played(
     #[case] long_scripts: bool,
     #[case] is_omitted: bool,
 ) {
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let options = CheckOptions { own_clock, long_scripts, ..scripts() };
-    let all = scripts::scripts(&CONFIGURE, &identity, 1, false).unwrap();
+    let all = scripts::scripts(&CONFIGURE, &identity(), 1, false).unwrap();
     let omitted: Vec<_> = all.iter().filter(|script| options.omits(script)).map(|script| &*script.name).collect();
     assert_eq!(omitted, &["more samples than sixteen bits count"][..usize::from(is_omitted)]);
 }
@@ -281,12 +266,9 @@ fn only_an_option_decides_which_scripts_are_played(
 fn a_cancellation_ends_the_check() {
     let cancel = CancelToken::never();
     cancel.cancel();
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let mut exchanges = 0;
     let change = |number, _: &mut Vec<Packet>| exchanges = number;
-    let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Lossless, change };
-    let options = CheckOptions { own_clock: true, cancel: &cancel, ..scripts() };
-    check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap();
+    check(LinkKind::Lossless, CheckOptions { own_clock: true, cancel: &cancel, ..scripts() }, change);
     assert_eq!(exchanges, 0);
 }
 
@@ -301,10 +283,7 @@ fn a_frequency_may_be_rounded_to_two_millihertz() {
 }
 
 fn play_messages(messages: &[ScenarioMessage], change: impl FnMut(usize, &mut Vec<Packet>) + Send) -> Vec<String> {
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
-    let mut link = ChangedAnswers { device: HostedLink::new(), exchanges: 0, kind: LinkKind::Simulated, change };
-    let options = CheckOptions { messages, ..scripts() };
-    texts(&check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap())
+    texts(&check(LinkKind::Simulated, CheckOptions { messages, ..scripts() }, change))
 }
 
 /// Three samples, a stop, and the same samples after the next configuration.
@@ -481,7 +460,7 @@ fn a_counter_of_sixteen_bits_differs() {
 #[case::program(LinkKind::Lossless, 1, 0)]
 #[case::serial_line(LinkKind::Lossy, 0, 1)]
 fn only_a_lossy_line_may_lose_an_answer(#[case] kind: LinkKind, #[case] differences: usize, #[case] repeats: u32) {
-    let found = check(kind, |number, packets| packets.retain(|_| number != 7));
+    let found = check(kind, scripts(), |number, packets| packets.retain(|_| number != 7));
     assert_eq!((found.differences.len(), found.repeats), (differences, repeats), "{found:?}");
 }
 
@@ -532,10 +511,9 @@ fn a_late_answer_of_a_program_repeats_the_script(
 ) {
     let configure = toml::from_str::<ScenarioMessage>("kind = 'configure'").unwrap();
     let messages = [configure, ScenarioMessage::sample(2.0, 1.2, -0.2)];
-    let identity = *Session::open(HostedLink::new()).unwrap().identity();
     let mut link = LateLink { device: HostedLink::new(), delayed, late: Vec::new(), is_lost };
     let options = CheckOptions { own_clock: true, messages: &messages, ..scripts() };
-    let found = check_protocol(&mut link, &identity, &CONFIGURE, options).unwrap();
+    let found = check_protocol(&mut link, &identity(), &CONFIGURE, options).unwrap();
     assert_eq!((found.repeats, found.differences.len()), (repeats, usize::from(!text.is_empty())), "{found:?}");
     assert!(found.differences.iter().all(|difference| difference.to_string().contains(text)), "{found:?}");
 }

@@ -6,7 +6,8 @@ use super::images::{
 use super::own_firmware::{PLANTED, TRIGGER, action, build, start};
 use super::{CONFIGURE, PERIOD, firmware_under_test, image, sample};
 use platebench_rig::emulated::EmulatedOptions;
-use platebench_rig::{EmulatedError, EmulatedLink, Link, LinkError, Session};
+use platebench_rig::{EmulatedError, EmulatedLink, Session};
+use platebench_test_kit::ScriptedLink;
 use std::collections::BTreeSet;
 use std::fs;
 use std::time::Duration;
@@ -60,20 +61,6 @@ void planted_more(const struct message *message)
     }
 }
 "#;
-
-/// A controller that is no controller: its line carries a text, or nothing.
-struct OtherProgram(&'static [u8]);
-
-impl Link for OtherProgram {
-    fn exchange(&mut self, _: Duration, _: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        answer.extend_from_slice(self.0);
-        Ok(Duration::ZERO)
-    }
-
-    fn advance_to(&mut self, _: Duration, _: &mut Vec<u8>) -> Result<(), LinkError> {
-        Ok(())
-    }
-}
 
 /// Elements between back quotes of the first cells of all tables that list messages.
 fn documented_messages() -> BTreeSet<String> {
@@ -129,8 +116,14 @@ fn messages_of_the_shipped_image() -> Vec<String> {
 }
 
 fn handshake_messages() -> Vec<String> {
-    let error = |text| Session::open(OtherProgram(text)).map(drop).unwrap_err().to_string();
-    vec![error(b"login: "), error(b"")]
+    let error = |text: &'static str| {
+        let other_program = ScriptedLink::new(move |_, _, _, answer| {
+            answer.extend_from_slice(text.as_bytes());
+            Ok(Duration::ZERO)
+        });
+        Session::open(other_program).map(drop).unwrap_err().to_string()
+    };
+    vec![error("login: "), error("")]
 }
 
 /// `None` without a cross compiler.

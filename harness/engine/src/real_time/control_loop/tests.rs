@@ -3,9 +3,9 @@ use crate::live_tap::LiveTap;
 use crate::plant_simulation::collect_rows;
 use crate::trial::{TrialResult, configure, set_line_faults};
 use allocation_counter::{AllocationInfo, measure, opt_out};
-use platebench_model::scenario::load;
 use platebench_rig::{HostedLink, LinkError, PtyLink, RealTimeLine, SerialLink, WallClockLink};
-use platebench_wire::{LawId, PacketReader};
+use platebench_test_kit::{ScriptedLink, load_scenario, packets};
+use platebench_wire::{LawId, Packet};
 use std::path::Path;
 use std::thread;
 
@@ -82,11 +82,6 @@ impl Link for UncountedLink {
     }
 }
 
-fn scenario(name: &str) -> Scenario {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
-    load(&path, name).unwrap_or_else(|fault| panic!("{fault}"))
-}
-
 fn count_allocations<L: Link>(
     scenario: &Scenario,
     session: &mut Session<FaultInjector<L>>,
@@ -120,7 +115,7 @@ fn count_allocations<L: Link>(
 /// Repeats the trial until it had more than 10 periods, because a busy host skips some. Prints how
 /// often.
 fn assert_no_allocations<L: Link>(name: &str, session: &mut Session<FaultInjector<L>>, pacing: Pacing) {
-    let scenario = scenario(name);
+    let scenario = load_scenario(name);
     let mut periods = 0;
     for trials in 1..=100 {
         let (allocated, played) = count_allocations(&scenario, session, pacing);
@@ -183,38 +178,14 @@ fn the_loop_allocates_nothing_over_a_terminal() {
     board.join().unwrap();
 }
 
-struct SilentAtLastSample {
-    inner: HostedLink,
-    last_us: u32,
-}
-
-impl Link for SilentAtLastSample {
-    fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let is_last = PacketReader::new()
-            .packets(bytes)
-            .flatten()
-            .any(|packet| matches!(packet.message, Message::Sample(sample) if sample.time_us == self.last_us));
-        let before = answer.len();
-        let took = self.inner.exchange(now, bytes, answer);
-        if is_last {
-            answer.truncate(before);
-        }
-        took
-    }
-
-    fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
-        self.inner.advance_to(now, received)
-    }
-
-    fn restart(&mut self) -> Result<bool, LinkError> {
-        self.inner.restart()
-    }
-}
-
 #[test]
 fn a_last_sample_without_an_answer_is_a_missing_answer() {
-    let scenario = scenario("paper/fig13-closed-loop.toml");
-    let link = SilentAtLastSample { inner: HostedLink::new(), last_us: 59_000 };
+    let scenario = load_scenario("paper/fig13-closed-loop.toml");
+    let link = ScriptedLink::new(|controller, now, bytes, answer| {
+        let is_last = |packet: &Packet| matches!(packet.message, Message::Sample(sample) if sample.time_us == 59_000);
+        let received = if packets(bytes).iter().any(is_last) { &mut Vec::new() } else { answer };
+        controller.exchange(now, bytes, received)
+    });
     let result = play(&scenario, WallClockLink::in_simulated_time(link));
     let last = result.trace_rows.last().unwrap();
     let timing = result.telemetry.timing.unwrap();
@@ -236,8 +207,7 @@ impl SilentLink {
 
 impl Link for SilentLink {
     fn exchange(&mut self, now: Duration, bytes: &[u8], answer: &mut Vec<u8>) -> Result<Duration, LinkError> {
-        let mut packets = PacketReader::new();
-        if packets.packets(bytes).flatten().any(|packet| matches!(packet.message, Message::Sample(_))) {
+        if packets(bytes).iter().any(|packet| matches!(packet.message, Message::Sample(_))) {
             self.samples += 1;
         }
         let before = answer.len();
@@ -311,7 +281,7 @@ fn play<L: Link>(scenario: &Scenario, link: L) -> TrialResult {
 
 #[test]
 fn a_stall_of_the_bench_is_no_silence_of_the_controller() {
-    let mut scenario = scenario("paper/fig13-closed-loop.toml");
+    let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
     scenario.duration = Time::from_nanos(700_000_000);
     let inner = WallClockLink::in_simulated_time(SilentLink { inner: HostedLink::new(), samples: 0 });
     let result = play(&scenario, StalledLink { inner, samples: 0, stall: Duration::from_millis(400) });

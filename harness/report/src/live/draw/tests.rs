@@ -5,19 +5,16 @@ use insta::assert_snapshot;
 use platebench_engine::live_tap::{TapCounts, TapRow};
 use platebench_engine::{Clock, Pacing, RunPlan, TimeBase};
 use platebench_model::record::{Overrides, VerdictCounts};
-use platebench_model::scenario::load;
 use platebench_model::trace::{Flags, Row};
+use platebench_test_kit::load_scenario;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
-use std::path::Path;
 use std::sync::Arc;
 
 fn run_description() -> RunDescription {
-    let name = "paper/fig13-closed-loop.toml";
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios").join(name);
-    let mut scenario = load(&path, name).unwrap_or_else(|fault| panic!("{fault}"));
+    let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
     scenario.title = "Step to 2 µm with both loops closed".to_owned();
     scenario.trials.count = 30;
     let clock = Clock::RealTime(TimeBase { time_scale: 1.0, pacing: Pacing::Bench });
