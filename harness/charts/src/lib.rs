@@ -26,6 +26,6 @@ pub mod integration {
     pub use fixed::FixedStepMethod;
     pub use method::{AdaptiveMethod, IntegrationMethod};
     pub use problem::Problem;
-    pub use replay::{EquationForm, Replay, ReplayResult, ReplaySpec};
+    pub use replay::{EquationForm, MethodReplay, MethodResult, ReplaySpec};
     pub use sweep::{Solver, SolverStatus, SweepConfig, SweepResult, sweep};
 }

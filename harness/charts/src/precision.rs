@@ -3,7 +3,7 @@
 
 use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
 use crate::integration::{
-    EquationForm, IntegrationMethod, Replay, ReplaySpec, Solver, SolverStatus, SweepConfig, SweepResult, sweep,
+    EquationForm, IntegrationMethod, MethodReplay, ReplaySpec, Solver, SolverStatus, SweepConfig, SweepResult, sweep,
 };
 use crate::loglog::{LogLogChart, LogLogSeries};
 use crate::measured_run::ChartError;
@@ -76,7 +76,7 @@ const EXPLANATION: [&str; 3] = [
 ];
 
 /// Simulates the first trial on the nominal plate without noise, from its start for `window`.
-fn scenario_replay(scenario: &Scenario, window: Time) -> Result<Replay, ChartError> {
+fn scenario_replay(scenario: &Scenario, window: Time) -> Result<MethodReplay, ChartError> {
     let setpoint_um = scenario.setpoint.range().1;
     if setpoint_um <= 0.0 {
         return Err(ChartError::NoSetpoint(scenario.file.clone()));
@@ -95,7 +95,7 @@ fn scenario_replay(scenario: &Scenario, window: Time) -> Result<Replay, ChartErr
         }
     }
     let (plate, scene, period) = (&nominal.plate, &nominal.conditions, nominal.controller.period);
-    Ok(Replay::new(&ReplaySpec { plate, scene, drives: &drives, period, end, setpoint_um }))
+    Ok(MethodReplay::new(&ReplaySpec { plate, scene, drives: &drives, period, end, setpoint_um }))
 }
 
 fn result_row(scenario: &Scenario, result: &SweepResult, all: &[SweepResult]) -> Vec<String> {

@@ -10,7 +10,7 @@
 //! with a small spectral radius may diverge.
 
 use crate::loops::{
-    AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains,
+    ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopError, LoopTiming, PiGains,
     steady_state,
 };
 use platebench_controller::design;
@@ -411,7 +411,7 @@ impl PlainLoops {
         plate: &Plate,
         condition: OperatingCondition,
         setpoint: f64,
-    ) -> Result<ClosedLoop, AnalysisError> {
+    ) -> Result<ClosedLoop, LoopError> {
         let mode = plate.mode(&condition.conditions());
         let drive = Drive { vpp: mode.drive_for(setpoint), omega: mode.omega0 };
         let controller = LinearController {

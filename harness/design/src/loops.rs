@@ -201,7 +201,7 @@ impl LoopTiming {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum AnalysisError {
+pub enum LoopError {
     #[error("the loop analysis needs finite gains, a period above 0 and a finite delay of at least 0")]
     NotFinite,
     #[error("the eigenvalue solver did not converge, so the poles of the control loop are unknown")]
@@ -220,10 +220,10 @@ pub struct ClosedLoop {
 }
 
 impl ClosedLoop {
-    pub fn new(plant: LinearPlant, controller: LinearController, timing: LoopTiming) -> Result<Self, AnalysisError> {
+    pub fn new(plant: LinearPlant, controller: LinearController, timing: LoopTiming) -> Result<Self, LoopError> {
         let usable = timing.period > 0.0 && timing.delay >= 0.0 && (timing.delay / timing.period).is_finite();
         if !usable {
-            return Err(AnalysisError::NotFinite);
+            return Err(LoopError::NotFinite);
         }
         let (whole, rest) = timing.split_delay();
         let on_the_way = whole + usize::from(rest > 0.0);
@@ -266,7 +266,7 @@ impl ClosedLoop {
         if all.into_iter().all(|value| value.is_finite()) {
             Ok(Self { plant, controller, timing, free_motion: free, inputs, outputs })
         } else {
-            Err(AnalysisError::NotFinite)
+            Err(LoopError::NotFinite)
         }
     }
 
@@ -275,7 +275,7 @@ impl ClosedLoop {
     }
 
     /// Poles in the z plane. The poles of pending commands are at or near 0.
-    pub fn poles(&self) -> Result<Vec<Complex64>, AnalysisError> {
+    pub fn poles(&self) -> Result<Vec<Complex64>, LoopError> {
         let matrix = self.matrix();
         let mut balanced = matrix.clone();
         balance_parlett_reinsch(&mut balanced);
@@ -283,11 +283,11 @@ impl ClosedLoop {
         // For a few matrices the solver does not converge. The transpose has the same eigenvalues.
         let forms = [balanced.clone(), balanced.transpose(), matrix.clone(), matrix.transpose()];
         let schur = forms.into_iter().find_map(|form| Schur::try_new(form, f64::EPSILON, limit));
-        Ok(schur.ok_or(AnalysisError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
+        Ok(schur.ok_or(LoopError::NoConvergence)?.complex_eigenvalues().iter().copied().collect())
     }
 
     /// Largest magnitude of a pole. The loop is stable if this is below 1.
-    pub fn spectral_radius(&self) -> Result<f64, AnalysisError> {
+    pub fn spectral_radius(&self) -> Result<f64, LoopError> {
         Ok(self.poles()?.iter().fold(0.0, |largest, pole| pole.norm().max(largest)))
     }
 
@@ -411,7 +411,7 @@ pub fn delay_boundary(
     controller: &LinearController,
     period: f64,
     longest: f64,
-) -> Result<DelayBoundary, AnalysisError> {
+) -> Result<DelayBoundary, LoopError> {
     let stable = |delay: f64| {
         ClosedLoop::new(plant.clone(), *controller, LoopTiming { period, delay })?.spectral_radius().map(|r| r < 1.0)
     };

@@ -7,7 +7,7 @@ pub mod result;
 pub mod scenes;
 
 use crate::law_loops::LoopCase;
-use crate::loops::{AnalysisError, ClosedLoop, LoopTiming, delay_boundary};
+use crate::loops::{ClosedLoop, LoopError, LoopTiming, delay_boundary};
 use platebench_engine::workers::in_parallel;
 use platebench_engine::{
     CancelToken, Executor, ExecutorSettings, FirmwareDigest, LinkFactory, MAX_LOSSES, RunError, SafeEnds, TrialResult,
@@ -38,7 +38,7 @@ pub enum MarginError {
     #[error(transparent)]
     Run(#[from] RunError),
     #[error(transparent)]
-    Analysis(#[from] AnalysisError),
+    Analysis(#[from] LoopError),
     #[error(
         "{file}: the expectation {name} is about several trials, expected expectations of each trial; a campaign \
          judges several"

@@ -4,7 +4,7 @@
 use crate::law_loops::{
     LoopCase, OperatingCondition, PlainLoops, loop_at_rest, measure_delay_boundary, measure_delay_boundary_from_rest,
 };
-use crate::loops::{AnalysisError, ClosedLoop, Discretisation, LoopTiming, Margins, delay_boundary};
+use crate::loops::{ClosedLoop, Discretisation, LoopError, LoopTiming, Margins, delay_boundary};
 use crate::stability_map::draw_maps;
 pub use crate::stability_map::{RigDelay, StabilityMap};
 use crate::step_limits::{NOTE, limits_csv, limits_table, step_limits};
@@ -25,7 +25,7 @@ const START_PERIODS: u32 = 4_000;
 #[derive(Debug, thiserror::Error)]
 pub enum StabilityError {
     #[error(transparent)]
-    Analysis(#[from] AnalysisError),
+    Analysis(#[from] LoopError),
 }
 
 pub fn build_chart(config: &StudyConfig, rig: Option<RigDelay>) -> Result<ChartSection, StabilityError> {
@@ -76,7 +76,7 @@ pub fn rig_delay(record: &RunRecord) -> Option<RigDelay> {
 }
 
 /// Shows that backward Euler has a small spectral radius but never settles from a detuned start.
-fn known_limit(plate: &Plate) -> Result<Vec<String>, AnalysisError> {
+fn known_limit(plate: &Plate) -> Result<Vec<String>, LoopError> {
     let loops = PlainLoops::new(plate, Discretisation::Backward, RESPONSE_S, PERIOD_S);
     let lines = [OperatingCondition::Resonant, OperatingCondition::Detuned].map(|condition| {
         let radius = loops.linearise(plate, condition, SETPOINT_UM)?.spectral_radius()?;
@@ -144,7 +144,7 @@ pub struct Study {
     pub maps: Vec<StabilityMap>,
 }
 
-pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
+pub fn study(config: &StudyConfig) -> Result<Study, LoopError> {
     let conditions = config.laws.iter().flat_map(|&law| OperatingCondition::ALL.map(|condition| (law, condition)));
     let cases: Vec<(LawId, OperatingCondition)> = conditions.collect();
     let mut study = Study::default();
@@ -168,11 +168,7 @@ pub fn study(config: &StudyConfig) -> Result<Study, AnalysisError> {
     Ok(study)
 }
 
-fn study_row(
-    config: &StudyConfig,
-    law: LawId,
-    condition: OperatingCondition,
-) -> Result<Option<StudyRow>, AnalysisError> {
+fn study_row(config: &StudyConfig, law: LawId, condition: OperatingCondition) -> Result<Option<StudyRow>, LoopError> {
     let case = LoopCase::new(&config.plate, law, condition);
     let Some((plant, controller)) = case.linearise(Model::Modal) else { return Ok(None) };
     let predicted = delay_boundary(&plant, &controller, case.period(), MAX_DELAY_S)?;
@@ -196,7 +192,7 @@ fn stability_map(
     law: LawId,
     condition: OperatingCondition,
     response: f64,
-) -> Result<Option<StabilityMap>, AnalysisError> {
+) -> Result<Option<StabilityMap>, LoopError> {
     let case = LoopCase { response_s: Some(response), ..LoopCase::new(&config.plate, law, condition) };
     let [first, last] = MAP_PERIODS_US;
     let periods: Vec<u32> =

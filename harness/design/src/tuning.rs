@@ -9,7 +9,7 @@
 pub mod design;
 pub mod verification;
 
-use crate::loops::{AnalysisError, Discretisation, Margins};
+use crate::loops::{Discretisation, LoopError, Margins};
 use design::{BAND, GainDesign, LoopEvaluation, StepEvaluation, TuningTarget, delay_margin_ms, design_delay_boundary};
 use platebench_document::format::with_decimals;
 use platebench_document::{Block, Column, Document, Table};
@@ -59,14 +59,14 @@ pub struct TuningResult {
     /// The fastest design with the target's phase margin, if no design meets the target.
     pub possible: Option<DesignEvaluation>,
     /// The chosen design on other plates, or the possible design if none is chosen.
-    pub sensitivity: Option<Sensitivity>,
+    pub sensitivity: Option<DesignSensitivity>,
 }
 
 pub fn tune(
     target: &TuningTarget<'_>,
     discretisation: Discretisation,
     spread: &PlateSpread,
-) -> Result<TuningResult, AnalysisError> {
+) -> Result<TuningResult, LoopError> {
     let printed = |discretisation| evaluate_design(target, GainDesign::new(target, discretisation, target.response));
     let readings = Discretisation::ALL.into_iter().map(printed).collect::<Result<Vec<_>, _>>()?;
     let search = DesignSearch::new(target, discretisation);
@@ -90,7 +90,7 @@ fn infeasibility_causes(
     target: &TuningTarget<'_>,
     discretisation: Discretisation,
     search: &DesignSearch<'_>,
-) -> Result<Vec<InfeasibilityCause>, AnalysisError> {
+) -> Result<Vec<InfeasibilityCause>, LoopError> {
     let mode = target.mode();
     let mut causes = Vec::new();
     let needed = |seconds: f64| 0.95 * mode.drive_for(target.setpoint) / (1.0 - (-mode.sigma * seconds).exp());
@@ -172,12 +172,12 @@ impl<'a> DesignSearch<'a> {
         Some(DesignCandidate { design, settling: transient.settling.filter(|_| !by_a_hair)? })
     }
 
-    fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, AnalysisError> {
+    fn has_margin(&self, candidate: &DesignCandidate, phase_deg: f64) -> Result<bool, LoopError> {
         let closed = candidate.design.closed_loop(&self.target, self.target.plate, Model::Modal, [true; 2])?;
         Ok(closed.spectral_radius()? < 1.0 && closed.margins(None).phase_deg.is_none_or(|found| found >= phase_deg))
     }
 
-    pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
+    pub fn fastest(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, LoopError> {
         let settled = self.candidates.iter().enumerate();
         let mut ranked: Vec<(usize, DesignCandidate)> =
             settled.filter_map(|(number, (_, played))| Some((number, (*played)?))).collect();
@@ -205,8 +205,8 @@ impl<'a> DesignSearch<'a> {
 
     /// The design for the target's response time, if it meets the target. Otherwise the slowest
     /// design that does, with a safety factor.
-    pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, AnalysisError> {
-        let meets = |response: f64| -> Result<Option<DesignCandidate>, AnalysisError> {
+    pub fn meeting_target(&self, phase_deg: f64) -> Result<Option<DesignCandidate>, LoopError> {
+        let meets = |response: f64| -> Result<Option<DesignCandidate>, LoopError> {
             match self.evaluate(response).filter(|candidate| candidate.settling <= self.target.response) {
                 Some(candidate) => Ok(self.has_margin(&candidate, phase_deg)?.then_some(candidate)),
                 None => Ok(None),
@@ -269,7 +269,7 @@ pub struct WorstCase {
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct Sensitivity {
+pub struct DesignSensitivity {
     pub corners: Vec<PlateVariant>,
     pub worst_corner: WorstCase,
     pub worst_sample: Option<WorstCase>,
@@ -285,7 +285,7 @@ pub fn evaluate_sensitivity(
     target: &TuningTarget<'_>,
     design: &GainDesign,
     spread: &PlateSpread,
-) -> Result<Sensitivity, AnalysisError> {
+) -> Result<DesignSensitivity, LoopError> {
     let PlateSpread { gain_percent, time_constant_percent, samples, seed } = *spread;
     let shares = [-1.0, 0.0, 1.0];
     let pairs = shares.into_iter().flat_map(|gain| shares.map(|tau| [gain, tau]));
@@ -293,11 +293,11 @@ pub fn evaluate_sensitivity(
         |[gain, tau]: [f64; 2]| evaluate_variant(target, design, [gain * gain_percent, tau * time_constant_percent]);
     let corners = pairs.filter(|pair| *pair != [0.0; 2]).map(at).collect::<Result<Vec<_>, _>>()?;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let even = Uniform::new_inclusive(-1.0, 1.0).map_err(|_| AnalysisError::NotFinite)?;
+    let even = Uniform::new_inclusive(-1.0, 1.0).map_err(|_| LoopError::NotFinite)?;
     let drawn = (0..samples).map(|_| at([even.sample(&mut random), even.sample(&mut random)]));
     let drawn = drawn.collect::<Result<Vec<_>, _>>()?;
     let force_n = if target.force_n > 0.0 { 0.0 } else { FINGER };
-    Ok(Sensitivity {
+    Ok(DesignSensitivity {
         worst_corner: worst_case(target, &corners),
         worst_sample: (!drawn.is_empty()).then(|| worst_case(target, &drawn)),
         corners,
@@ -313,7 +313,7 @@ fn evaluate_variant(
     target: &TuningTarget<'_>,
     design: &GainDesign,
     [gain, tau]: [f64; 2],
-) -> Result<PlateVariant, AnalysisError> {
+) -> Result<PlateVariant, LoopError> {
     let nominal = target.plate;
     let factor = |percent: f64| 1.0 + percent / 100.0;
     let plate = Plate { gain: nominal.gain * factor(gain), sigma0: nominal.sigma0 / factor(tau), ..nominal.clone() };
@@ -467,7 +467,7 @@ fn format_pole(re: f64, im: f64) -> String {
     if im == 0.0 { format!("{re:.4}") } else { format!("{re:.4}{im:+.4}j") }
 }
 
-fn sensitivity_blocks(spread: &PlateSpread, found: &Sensitivity) -> Vec<Block> {
+fn sensitivity_blocks(spread: &PlateSpread, found: &DesignSensitivity) -> Vec<Block> {
     let PlateSpread { gain_percent, time_constant_percent, .. } = spread;
     let mut table = Table::new([
         Column::from("plate"),

@@ -18,7 +18,7 @@ use platebench_model::trace::{
 };
 use platebench_plate::Time;
 use platebench_rig::{CancelToken, FaultInjector, RigError, SafeEnd};
-use platebench_verdict::replay::{Recording, RecordingEnd, Replay, ReplayCommand, ReplayResult, ReplayStep};
+use platebench_verdict::replay::{RecordedCommands, RecordingEnd, Replay, ReplayCommand, ReplayResult, ReplayStep};
 use platebench_wire::{Command, Configure, ControllerState, LawId, Sample};
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -174,7 +174,7 @@ fn sample(step: &ReplayStep, now: Time) -> Sample {
 
 #[derive(Debug)]
 pub struct ReplayInput {
-    pub recording: Recording,
+    pub recording: RecordedCommands,
     pub scenario: Scenario,
     /// Form of the table. `None` for a trace.
     pub dialect: Option<Dialect>,
@@ -269,7 +269,7 @@ fn from_rows(trace: &Path, rows: &[Row], scenario: Scenario, clock: ClockKind) -
             command: acting.map(|row| ReplayCommand { drive_vpp: row.drive_vpp, frequency_hz: row.frequency_hz }),
         });
     }
-    let recording = Recording { name: trace.display().to_string(), steps, end };
+    let recording = RecordedCommands { name: trace.display().to_string(), steps, end };
     check_recording(trace, &recording, period_s)?;
     Ok(ReplayInput { recording, scenario, dialect: None, has_requested_law: false })
 }
@@ -278,7 +278,7 @@ pub(super) fn missing_sample(previous_s: f64, at_s: f64, period_s: f64) -> Optio
     (at_s - previous_s > MAX_SAMPLE_DISTANCE * period_s).then_some(RecordingEnd::MissingSample { at_s })
 }
 
-pub(super) fn check_recording(path: &Path, recording: &Recording, period_s: f64) -> Result<(), ReplayError> {
+pub(super) fn check_recording(path: &Path, recording: &RecordedCommands, period_s: f64) -> Result<(), ReplayError> {
     let other_period = |found_s: f64| ReplayError::OtherPeriod {
         path: path.to_owned(),
         found_ms: found_s * 1e3,
@@ -366,7 +366,7 @@ pub fn read_telemetry_table(
         let command = Some(ReplayCommand { drive_vpp: row.vpp, frequency_hz: row.omega / TAU });
         steps.push(ReplayStep { t_s, setpoint_um, wd_um: row.w.re, wq_um: row.w.im, command });
     }
-    let recording = Recording { name, steps, end };
+    let recording = RecordedCommands { name, steps, end };
     check_recording(table, &recording, period_s)?;
     Ok(ReplayInput { recording, scenario, dialect: Some(dialect), has_requested_law: false })
 }

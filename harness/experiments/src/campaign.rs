@@ -94,15 +94,15 @@ pub fn merge<'a>(
 }
 
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Status {
+pub struct ShardStatus {
     pub whole: Vec<u32>,
     pub missing: Vec<u32>,
     /// Shards whose part is damaged or belongs to another plan, with the error message.
     pub unusable: Vec<(u32, String)>,
 }
 
-pub fn status(folder: &Path, plan: &CampaignPlan, campaign: &Campaign) -> Result<Status, CampaignError> {
-    let mut status = Status::default();
+pub fn status(folder: &Path, plan: &CampaignPlan, campaign: &Campaign) -> Result<ShardStatus, CampaignError> {
+    let mut status = ShardStatus::default();
     for shard in 1..=plan.shards {
         if !plan.part_path(folder, shard).exists() {
             status.missing.push(shard);

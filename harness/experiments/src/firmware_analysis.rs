@@ -21,12 +21,12 @@ use std::time::{Duration, Instant};
 use suite::{BoardExecutor, SuiteOutcome, new_executor, play};
 
 pub use code_map::CodeMap;
-pub use error::AnalysisError;
-pub use suite::Suite;
+pub use error::FirmwareAnalysisError;
+pub use suite::FirmwareSuite;
 
 #[derive(Debug)]
 pub struct CoverageConfig {
-    pub suite: Suite,
+    pub suite: FirmwareSuite,
     pub jobs: usize,
     /// Parts of paths of source files. If empty, all of the firmware's own files are selected.
     pub only: Vec<String>,
@@ -34,7 +34,7 @@ pub struct CoverageConfig {
 }
 
 #[derive(Debug, Default, PartialEq, Eq)]
-pub struct Coverage {
+pub struct CodeCoverage {
     pub files: BTreeMap<String, FileCoverage>,
     /// Instructions of all functions in flash, including those without debug information.
     pub instructions: Ratio,
@@ -93,7 +93,7 @@ impl FileCoverage {
     }
 }
 
-impl Coverage {
+impl CodeCoverage {
     pub fn line_ratio(&self) -> Ratio {
         self.files.values().flat_map(|file| file.lines.values()).map(|line| line.executed).collect()
     }
@@ -166,13 +166,13 @@ fn is_package(file: &str) -> bool {
     file.contains("/.cargo/") || file.split('/').rev().skip(1).any(is_versioned)
 }
 
-pub fn measure_coverage(config: &CoverageConfig) -> Result<Coverage, AnalysisError> {
+pub fn measure_coverage(config: &CoverageConfig) -> Result<CodeCoverage, FirmwareAnalysisError> {
     let (symbols, map) = config.suite.code()?;
     check_line_tables(&map, &symbols, !config.only.is_empty())?;
     let baselines = play_baselines(&config.suite, &map, config.jobs, &config.cancel)?;
-    let coverage = Coverage::new(&map, &symbols, &executed_by_all(&baselines), &config.only);
+    let coverage = CodeCoverage::new(&map, &symbols, &executed_by_all(&baselines), &config.only);
     match config.only.iter().find(|_| coverage.files.is_empty()) {
-        Some(only) => Err(AnalysisError::NoMatch(only.clone())),
+        Some(only) => Err(FirmwareAnalysisError::NoMatch(only.clone())),
         None => Ok(coverage),
     }
 }
@@ -188,11 +188,11 @@ pub(crate) struct ReferencePlay {
 }
 
 pub(crate) fn play_baselines(
-    suite: &Suite,
+    suite: &FirmwareSuite,
     map: &CodeMap,
     jobs: usize,
     cancel: &CancelToken,
-) -> Result<Vec<ReferencePlay>, AnalysisError> {
+) -> Result<Vec<ReferencePlay>, FirmwareAnalysisError> {
     // The longest scenarios come first, so that no worker ends long after the others.
     let mut order: Vec<(usize, &(Scenario, LawId))> = suite.scenarios.iter().enumerate().collect();
     order.sort_by_key(|(_, (scenario, _))| Reverse(scenario.duration.as_nanos() * u64::from(scenario.trials.count)));
@@ -201,11 +201,14 @@ pub(crate) fn play_baselines(
     let work = |executor: &mut BoardExecutor<'_>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
         executor.session()?.link_mut().inner_mut().record_execution(&map.leaders);
         let start = Instant::now();
-        let outcome = play(executor, scenario, *law)?.ok_or(AnalysisError::Cancelled)?;
+        let outcome = play(executor, scenario, *law)?.ok_or(FirmwareAnalysisError::Cancelled)?;
         check_baseline(scenario, &outcome)?;
         let executed = executor.session()?.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());
-        Ok::<_, AnalysisError>((*number, ReferencePlay { executed, duration: start.elapsed(), commands, fails }))
+        Ok::<_, FirmwareAnalysisError>((
+            *number,
+            ReferencePlay { executed, duration: start.elapsed(), commands, fails },
+        ))
     };
     let mut baselines = BTreeMap::new();
     in_parallel(executors, &order, work, |(number, baseline)| {
@@ -223,17 +226,20 @@ pub(crate) fn executed_by_all(baselines: &[ReferencePlay]) -> BTreeMap<u32, bool
     executed
 }
 
-fn check_baseline(scenario: &Scenario, outcome: &SuiteOutcome) -> Result<(), AnalysisError> {
+fn check_baseline(scenario: &Scenario, outcome: &SuiteOutcome) -> Result<(), FirmwareAnalysisError> {
     match &outcome.detection {
-        Some(detection) if detection.is_unconfirmed => Err(AnalysisError::NotSafe),
+        Some(detection) if detection.is_unconfirmed => Err(FirmwareAnalysisError::NotSafe),
         Some(detection) if outcome.verdict == Verdict::Fail && scenario.expected_exit.is_none_or(|exit| exit == 0) => {
-            Err(AnalysisError::FailingScenario { file: scenario.file.clone(), reason: detection.reason.clone() })
+            Err(FirmwareAnalysisError::FailingScenario {
+                file: scenario.file.clone(),
+                reason: detection.reason.clone(),
+            })
         }
         _ => Ok(()),
     }
 }
 
-pub fn document(coverage: &Coverage) -> Document {
+pub fn document(coverage: &CodeCoverage) -> Document {
     let count = |ratio: Ratio| format!("{}/{}", ratio.executed, ratio.total);
     let columns = [Column::number("lines", "%"), Column::number("lines", ""), Column::number("functions", "")];
     let mut table = Table::new(columns.into_iter().chain(["file".into()]));
@@ -277,13 +283,13 @@ fn ranges(lines: &[u32]) -> String {
     ranges.into_iter().map(range).collect::<Vec<_>>().join(", ")
 }
 
-pub fn lcov_tracefile(coverage: &Coverage) -> String {
+pub fn lcov_tracefile(coverage: &CodeCoverage) -> String {
     let mut text = String::new();
     let _ = write_tracefile(&mut text, coverage);
     text
 }
 
-fn write_tracefile(text: &mut String, coverage: &Coverage) -> fmt::Result {
+fn write_tracefile(text: &mut String, coverage: &CodeCoverage) -> fmt::Result {
     for (path, file) in &coverage.files {
         writeln!(text, "TN:\nSF:{path}")?;
         for (name, function) in &file.functions {
@@ -329,7 +335,7 @@ mod tests {
         for trial in &record.scenarios[0].trials {
             hash_commands(&read_trace(&folder.path().join(&trial.trace)).unwrap(), &mut commands);
         }
-        let suite = Suite::new(&rig, vec![scenario]).unwrap();
+        let suite = FirmwareSuite::new(&rig, vec![scenario]).unwrap();
         let (_, map) = suite.code().unwrap();
         let baselines = play_baselines(&suite, &map, 1, &CancelToken::never()).unwrap();
         assert_eq!(record.scenarios[0].trials.len(), 2);

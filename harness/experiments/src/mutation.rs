@@ -4,10 +4,12 @@
 pub mod mutants;
 
 use crate::firmware_analysis::code_map::CodeMap;
-use crate::firmware_analysis::error::AnalysisError;
-use crate::firmware_analysis::suite::{BoardExecutor, Margin, Suite, SuiteOutcome, new_executor, play};
+use crate::firmware_analysis::error::FirmwareAnalysisError;
+use crate::firmware_analysis::suite::{
+    BoardExecutor, ExpectationMargin, FirmwareSuite, SuiteOutcome, new_executor, play,
+};
 use crate::firmware_analysis::{ReferencePlay, executed_by_all, play_baselines};
-use mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
+use mutants::{CodeMutant, Disassembler, MutantFilter, MutationOperator, all_mutants};
 use platebench_document::{Block, Column, Document, Table};
 use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
@@ -32,7 +34,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 #[derive(Debug)]
 pub struct MutationConfig {
-    pub suite: Suite,
+    pub suite: FirmwareSuite,
     pub filter: MutantFilter,
     /// Number of mutants to draw at random. `None` tests all mutants.
     pub sample: Option<usize>,
@@ -46,8 +48,8 @@ pub struct MutationConfig {
 /// Also returns the error that ended the test early, with the results before it.
 pub fn measure_mutation(
     config: &MutationConfig,
-    on_result: &mut dyn FnMut(&MutantResult),
-) -> Result<(MutationReport, Option<AnalysisError>), AnalysisError> {
+    on_result: &mut dyn FnMut(&CodeMutantResult),
+) -> Result<(MutationReport, Option<FirmwareAnalysisError>), FirmwareAnalysisError> {
     let suite = &config.suite;
     let (symbols, map) = suite.code()?;
     let baselines = play_baselines(suite, &map, config.jobs, &config.cancel)?;
@@ -55,7 +57,7 @@ pub fn measure_mutation(
     let mut mutants = all_mutants(&map, &symbols, &Disassembler::new()?, &config.filter, &executed);
     if mutants.is_empty() {
         let wanted = config.filter.functions.iter().chain(&config.filter.files).next();
-        return Err(AnalysisError::NoMatch(wanted.cloned().unwrap_or_default()));
+        return Err(FirmwareAnalysisError::NoMatch(wanted.cloned().unwrap_or_default()));
     }
     let population = mutants.len();
     if config.sample.is_some() || config.until_width.is_some() {
@@ -67,8 +69,8 @@ pub fn measure_mutation(
     let (connect, ends) = (|| suite.connect(), SafeEnds::default());
     let executors = (0..config.jobs.max(1)).map(|_| new_executor(&connect, &config.cancel, &ends));
     let runner = MutantRunner { config, map: &map, baselines: &baselines, order: &order };
-    let mut results: Vec<MutantResult> = Vec::new();
-    let work = |executor: &mut BoardExecutor<'_>, mutant: &Mutant| runner.run(executor, mutant);
+    let mut results: Vec<CodeMutantResult> = Vec::new();
+    let work = |executor: &mut BoardExecutor<'_>, mutant: &CodeMutant| runner.run(executor, mutant);
     let outcome = in_parallel(executors, &mutants, work, |result| {
         on_result(&result);
         results.push(result);
@@ -83,7 +85,7 @@ pub fn measure_mutation(
 }
 
 /// Algorithm of Fisher and Yates.
-fn shuffle(mutants: &mut [Mutant], seed: u64) {
+fn shuffle(mutants: &mut [CodeMutant], seed: u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     for last in (1..mutants.len()).rev() {
         mutants.swap(last, (random.next_u64() % (last as u64 + 1)) as usize);
@@ -99,28 +101,33 @@ struct MutantRunner<'a> {
 }
 
 impl MutantRunner<'_> {
-    fn run(&self, executor: &mut BoardExecutor<'_>, mutant: &Mutant) -> Result<MutantResult, AnalysisError> {
+    fn run(
+        &self,
+        executor: &mut BoardExecutor<'_>,
+        mutant: &CodeMutant,
+    ) -> Result<CodeMutantResult, FirmwareAnalysisError> {
         let start = Instant::now();
         let leader = self.map.leader_of(mutant.instruction);
         let covers = |baseline: &ReferencePlay| !baseline.fails && baseline.executed.contains_key(&leader);
         let covering: Vec<usize> =
             self.order.iter().copied().filter(|&index| self.baselines.get(index).is_some_and(covers)).collect();
-        let status = if covering.is_empty() { Status::NoCoverage } else { self.play(executor, mutant, &covering)? };
+        let status =
+            if covering.is_empty() { MutantStatus::NoCoverage } else { self.play(executor, mutant, &covering)? };
         let file = |&index: &usize| Some(self.config.suite.scenarios.get(index)?.0.file.clone());
         let covered_by = covering.iter().filter_map(file).collect();
-        Ok(MutantResult { mutant: mutant.clone(), status, covered_by, duration: start.elapsed() })
+        Ok(CodeMutantResult { mutant: mutant.clone(), status, covered_by, duration: start.elapsed() })
     }
 
     fn play(
         &self,
         executor: &mut BoardExecutor<'_>,
-        mutant: &Mutant,
+        mutant: &CodeMutant,
         covering: &[usize],
-    ) -> Result<Status, AnalysisError> {
+    ) -> Result<MutantStatus, FirmwareAnalysisError> {
         executor.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.bytes);
         let status = self.play_until_detected(executor, covering)?;
         executor.session()?.link_mut().inner_mut().patch(mutant.address, &mutant.original);
-        if matches!(status, Status::RuntimeError { .. }) {
+        if matches!(status, MutantStatus::RuntimeError { .. }) {
             // The emulator is in an unknown state, so the next mutant gets a new one.
             executor.close();
         }
@@ -131,8 +138,8 @@ impl MutantRunner<'_> {
         &self,
         executor: &mut BoardExecutor<'_>,
         covering: &[usize],
-    ) -> Result<Status, AnalysisError> {
-        let mut closest: Option<Margin> = None;
+    ) -> Result<MutantStatus, FirmwareAnalysisError> {
+        let mut closest: Option<ExpectationMargin> = None;
         let mut same_commands = true;
         for &index in covering {
             let (Some((scenario, law)), Some(baseline)) =
@@ -143,23 +150,23 @@ impl MutantRunner<'_> {
             let limit = (baseline.duration * TIMEOUT_FACTOR).max(MIN_TIMEOUT);
             let played = play_within(limit, &self.config.cancel, executor, scenario, *law);
             if self.config.cancel.is_cancelled() {
-                return Err(AnalysisError::Cancelled);
+                return Err(FirmwareAnalysisError::Cancelled);
             }
             let by = scenario.file.clone();
-            let Some(outcome) = played? else { return Ok(Status::Timeout { by }) };
+            let Some(outcome) = played? else { return Ok(MutantStatus::Timeout { by }) };
             let SuiteOutcome { detection, closest_margin, commands, .. } = outcome;
             same_commands &= commands == baseline.commands;
             match detection {
                 Some(detection) if detection.emulator_failed => {
-                    return Ok(Status::RuntimeError { by, reason: detection.reason });
+                    return Ok(MutantStatus::RuntimeError { by, reason: detection.reason });
                 }
-                Some(detection) => return Ok(Status::Killed { by, reason: detection.reason }),
+                Some(detection) => return Ok(MutantStatus::Killed { by, reason: detection.reason }),
                 None => {}
             }
             closest =
                 closest.into_iter().chain(closest_margin).min_by(|one, other| one.margin.total_cmp(&other.margin));
         }
-        Ok(Status::Survived { closest, same_commands })
+        Ok(MutantStatus::Survived { closest, same_commands })
     }
 }
 
@@ -170,7 +177,7 @@ fn play_within(
     executor: &mut BoardExecutor<'_>,
     scenario: &Scenario,
     law: LawId,
-) -> Result<Option<SuiteOutcome>, AnalysisError> {
+) -> Result<Option<SuiteOutcome>, FirmwareAnalysisError> {
     let played = with_deadline(limit, cancel, |token| {
         executor.set_cancel(token);
         play(executor, scenario, law)
@@ -205,13 +212,13 @@ const ONE_SIDED_CONFIDENCE: f64 = 0.975;
 
 #[derive(Debug, Clone, PartialEq, strum::IntoStaticStr)]
 #[strum(const_into_str)]
-pub enum Status {
+pub enum MutantStatus {
     Killed {
         by: String,
         reason: String,
     },
     Survived {
-        closest: Option<Margin>,
+        closest: Option<ExpectationMargin>,
         /// True if every drive and frequency is that of the unchanged firmware.
         same_commands: bool,
     },
@@ -227,7 +234,7 @@ pub enum Status {
     },
 }
 
-impl Status {
+impl MutantStatus {
     /// Name of the status in the schema of mutation reports.
     pub const fn name(&self) -> &'static str {
         self.into_str()
@@ -243,9 +250,9 @@ impl Status {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct MutantResult {
-    pub mutant: Mutant,
-    pub status: Status,
+pub struct CodeMutantResult {
+    pub mutant: CodeMutant,
+    pub status: MutantStatus,
     /// Scenarios that execute the instruction, fastest first.
     pub covered_by: Vec<String>,
     pub duration: Duration,
@@ -253,7 +260,7 @@ pub struct MutantResult {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct MutationReport {
-    pub results: Vec<MutantResult>,
+    pub results: Vec<CodeMutantResult>,
     /// Number of selected mutants, including those that were not drawn.
     pub population: usize,
     pub scenarios: Vec<String>,
@@ -267,7 +274,7 @@ pub struct Score {
 }
 
 impl Score {
-    pub fn of<'a>(statuses: impl Iterator<Item = &'a Status>) -> Self {
+    pub fn of<'a>(statuses: impl Iterator<Item = &'a MutantStatus>) -> Self {
         statuses.filter(|status| status.is_valid()).fold(Self { detected: 0, valid: 0 }, |score, status| Self {
             detected: score.detected + u32::from(status.is_detected()),
             valid: score.valid + 1,
@@ -294,13 +301,13 @@ impl MutationReport {
     }
 
     pub fn score_of_executed(&self) -> Score {
-        self.score_if(|result| result.status != Status::NoCoverage)
+        self.score_if(|result| result.status != MutantStatus::NoCoverage)
     }
 
     /// Number of survivors, and of those with the commands of the unchanged firmware.
     pub fn survivors(&self) -> [usize; 2] {
         let same = self.results.iter().filter_map(|result| match result.status {
-            Status::Survived { same_commands, .. } => Some(same_commands),
+            MutantStatus::Survived { same_commands, .. } => Some(same_commands),
             _ => None,
         });
         same.fold([0, 0], |[all, unchanged], same| [all + 1, unchanged + usize::from(same)])
@@ -312,11 +319,11 @@ impl MutationReport {
 
     /// Like `score_of_control_step`, without survivors that change no drive and no frequency.
     pub fn score_of_changed_control_step(&self) -> Score {
-        let is_same = |status: &Status| matches!(status, Status::Survived { same_commands: true, .. });
+        let is_same = |status: &MutantStatus| matches!(status, MutantStatus::Survived { same_commands: true, .. });
         self.score_if(|result| result.mutant.in_control_step && !is_same(&result.status))
     }
 
-    fn score_if(&self, is_counted: impl Fn(&MutantResult) -> bool) -> Score {
+    fn score_if(&self, is_counted: impl Fn(&CodeMutantResult) -> bool) -> Score {
         Score::of(self.results.iter().filter(|result| is_counted(result)).map(|result| &result.status))
     }
 }
@@ -354,7 +361,7 @@ pub fn mutation_json(report: &MutationReport) -> Value {
     })
 }
 
-fn mutant_json(number: usize, result: &MutantResult, ids: &BTreeMap<&str, usize>) -> Value {
+fn mutant_json(number: usize, result: &CodeMutantResult, ids: &BTreeMap<&str, usize>) -> Value {
     let mutant = &result.mutant;
     let line = mutant.line.as_ref().map_or(1, |line| line.line.max(1));
     let id = |name: &String| ids.get(name.as_str()).map(ToString::to_string);
@@ -370,14 +377,18 @@ fn mutant_json(number: usize, result: &MutantResult, ids: &BTreeMap<&str, usize>
         "duration": result.duration.as_millis() as u64,
     });
     let (by, reason) = match &result.status {
-        Status::Killed { by, reason } | Status::RuntimeError { by, reason } => (Some(by), Some(reason.clone())),
-        Status::Timeout { by } => (Some(by), None),
-        Status::Survived { same_commands: true, .. } => (None, Some("no drive and no frequency changed".to_owned())),
-        Status::Survived { closest: Some(closest), .. } => {
+        MutantStatus::Killed { by, reason } | MutantStatus::RuntimeError { by, reason } => {
+            (Some(by), Some(reason.clone()))
+        }
+        MutantStatus::Timeout { by } => (Some(by), None),
+        MutantStatus::Survived { same_commands: true, .. } => {
+            (None, Some("no drive and no frequency changed".to_owned()))
+        }
+        MutantStatus::Survived { closest: Some(closest), .. } => {
             let text = format!("closest margin {:.4}: {} {}", closest.margin, closest.scenario, closest.expectation);
             (None, Some(text))
         }
-        Status::Survived { closest: None, .. } | Status::NoCoverage => (None, None),
+        MutantStatus::Survived { closest: None, .. } | MutantStatus::NoCoverage => (None, None),
     };
     if let Some(by) = by.and_then(id).filter(|_| result.status.is_detected()) {
         value["killedBy"] = json!([by]);
@@ -414,20 +425,20 @@ pub fn document(report: &MutationReport) -> Document {
         Column::number("not run", ""),
         Column::number("score", "%"),
     ]);
-    table.extend(Operator::ALL.iter().map(|&operator| {
+    table.extend(MutationOperator::ALL.iter().map(|&operator| {
         let of_operator = || report.results.iter().filter(move |result| result.mutant.operator == operator);
         let statuses = || of_operator().map(|result| &result.status);
         let count =
-            |is_counted: fn(&Status) -> bool| statuses().filter(|status| is_counted(status)).count().to_string();
+            |is_counted: fn(&MutantStatus) -> bool| statuses().filter(|status| is_counted(status)).count().to_string();
         let score = Score::of(statuses());
-        let survived = count(|status| matches!(status, Status::Survived { .. }));
-        let not_run = count(|status| *status == Status::NoCoverage);
+        let survived = count(|status| matches!(status, MutantStatus::Survived { .. }));
+        let not_run = count(|status| *status == MutantStatus::NoCoverage);
         let percent = format!("{:.1}", score.percent());
         [operator.name().to_owned(), score.detected.to_string(), survived, not_run, percent]
     }));
-    let survivors = report.results.iter().filter(|result| matches!(result.status, Status::Survived { .. }));
-    let failures = report.results.iter().filter_map(|MutantResult { mutant, status, .. }| match status {
-        Status::RuntimeError { reason, .. } => {
+    let survivors = report.results.iter().filter(|result| matches!(result.status, MutantStatus::Survived { .. }));
+    let failures = report.results.iter().filter_map(|CodeMutantResult { mutant, status, .. }| match status {
+        MutantStatus::RuntimeError { reason, .. } => {
             Some(format!("emulator failed: {:#010x} {}: {reason}", mutant.instruction, mutant.after))
         }
         _ => None,
@@ -450,7 +461,7 @@ pub fn document(report: &MutationReport) -> Document {
     Document::new("Mutants of the machine code", blocks.concat())
 }
 
-fn survivor_lines(MutantResult { mutant, status, covered_by, .. }: &MutantResult) -> [String; 3] {
+fn survivor_lines(CodeMutantResult { mutant, status, covered_by, .. }: &CodeMutantResult) -> [String; 3] {
     let line = mutant.line.as_ref().map_or_else(|| "no line".to_owned(), |line| format!("{}:{}", line.file, line.line));
     let place = if mutant.in_control_step { ", control step" } else { "" };
     let scenarios = format!("    {} scenarios", covered_by.len());
@@ -458,8 +469,10 @@ fn survivor_lines(MutantResult { mutant, status, covered_by, .. }: &MutantResult
         format!("survived: {:#010x} {line} in {}{place}", mutant.instruction, mutant.function),
         format!("    {}: {} -> {}", mutant.operator, mutant.before, mutant.after),
         match status {
-            Status::Survived { same_commands: true, .. } => format!("{scenarios}; no drive and no frequency changed"),
-            Status::Survived { closest: Some(Margin { scenario, expectation, margin }), .. } => {
+            MutantStatus::Survived { same_commands: true, .. } => {
+                format!("{scenarios}; no drive and no frequency changed")
+            }
+            MutantStatus::Survived { closest: Some(ExpectationMargin { scenario, expectation, margin }), .. } => {
                 format!("{scenarios}; closest margin {margin:.3}: {scenario} {expectation}")
             }
             _ => scenarios,
@@ -483,7 +496,7 @@ mod tests {
     fn a_time_limit_does_not_cancel_the_next_connection() {
         let mut scenario = load_scenario("paper/fig13-closed-loop.toml");
         (scenario.trials.count, scenario.trials.max_count) = (100_000, 100_000);
-        let suite = Suite::new(&"emulated".parse::<RigSpec>().unwrap(), vec![scenario]).unwrap();
+        let suite = FirmwareSuite::new(&"emulated".parse::<RigSpec>().unwrap(), vec![scenario]).unwrap();
         let (connect, cancel, ends) = (|| suite.connect(), CancelToken::never(), SafeEnds::default());
         let mut executor = new_executor(&connect, &cancel, &ends);
         let (scenario, law) = &suite.scenarios[0];

@@ -26,7 +26,7 @@ pub use steps::{SessionConfig, SessionHooks, SessionObserver};
 pub use verify::{Finding, Signer, Verification, verify};
 
 use crate::acceptance::judge::{judge_requirements, today};
-use crate::acceptance::plan::PlannedScenario;
+use crate::acceptance::plan::RepeatedScenario;
 use crate::acceptance::seal::{MANIFEST_FILE, MAX_MANIFEST_BYTES, SIGNATURE_FILE, write_manifest};
 use crate::acceptance::session_record::{
     Attempt, BUDGET, BenchRecord, ClockRecord, FILE, FORMAT, FirmwareRecord, PLAN, STEPS, SignatureRecord, StepKind,
@@ -184,7 +184,7 @@ impl<'a> SessionRunner<'a> {
 
     fn run_scenario(
         &self,
-        planned: &PlannedScenario,
+        planned: &RepeatedScenario,
         folder: &Path,
         step: &mut StepRecord,
         hooks: &mut SessionHooks<'_>,

@@ -13,7 +13,7 @@ mod links;
 pub use attached_board::{AttachedBoard, Timeouts};
 pub use board::{ChipId, FlashOutcome, ProbeSpec};
 pub use error::ProbeError;
-pub use image::Image;
+pub use image::FlashImage;
 pub use links::{PortLink, RttLink, ShutdownResult};
 pub use probe_rs::probe::list::Lister;
 
@@ -32,7 +32,7 @@ pub type SerialPort = (PathBuf, u32);
 #[derive(Debug, Clone)]
 pub struct ProbeSetup {
     spec: ProbeSpec,
-    image: Arc<Image>,
+    image: Arc<FlashImage>,
     port: Option<SerialPort>,
 }
 
@@ -41,7 +41,7 @@ impl ProbeSetup {
     /// RTT is needed and the image has none.
     pub fn new(spec: ProbeSpec, elf: &[u8], port: Option<SerialPort>) -> Result<Self, ProbeError> {
         Board::resolve_target(&spec)?;
-        let image = Arc::new(Image::parse(elf)?);
+        let image = Arc::new(FlashImage::parse(elf)?);
         if port.is_none() && image.rtt().is_none() {
             return Err(ProbeError::NoRtt);
         }

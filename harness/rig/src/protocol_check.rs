@@ -17,20 +17,20 @@ pub use coverage::ProtocolCoverage;
 use comparison::{BenchCause, CommandDifference, CommandHistory, ComparisonScope, ReceivedPackets, ScriptComparison};
 use platebench_model::scenario::ScenarioMessage;
 use platebench_wire::{Configure, Identity};
-use script::{Script, Variation};
+use script::{Script, ScriptVariation};
 use std::fmt;
 use std::time::{Duration, Instant};
 
 /// Variations of each script, played on further references. If a variation changes the commands,
 /// rounding or a design error of 5 % decides them. The check then compares no command until the
 /// next configuration.
-const VARIATIONS: [Variation; 6] = [
-    Variation { components: ROUNDING, ..Variation::NONE },
-    Variation { components: -ROUNDING, ..Variation::NONE },
-    Variation { gain: 1.05, ..Variation::NONE },
-    Variation { gain: 0.95, ..Variation::NONE },
-    Variation { design: 1.05, ..Variation::NONE },
-    Variation { design: 0.95, ..Variation::NONE },
+const VARIATIONS: [ScriptVariation; 6] = [
+    ScriptVariation { components: ROUNDING, ..ScriptVariation::NONE },
+    ScriptVariation { components: -ROUNDING, ..ScriptVariation::NONE },
+    ScriptVariation { gain: 1.05, ..ScriptVariation::NONE },
+    ScriptVariation { gain: 0.95, ..ScriptVariation::NONE },
+    ScriptVariation { design: 1.05, ..ScriptVariation::NONE },
+    ScriptVariation { design: 0.95, ..ScriptVariation::NONE },
 ];
 /// Relative change of the components Wd and Wq, about 17 times the resolution of single precision.
 const ROUNDING: f32 = 2e-6;
@@ -262,7 +262,7 @@ impl Player<'_> {
         let mut last_request = Instant::now();
         let mut received = Vec::new();
         let mut expected = vec![Vec::new(); references.len()];
-        for (number, exchange) in script.exchanges(Variation::NONE).enumerate() {
+        for (number, exchange) in script.exchanges(ScriptVariation::NONE).enumerate() {
             if self.own_clock {
                 self.cancel.sleep(exchange.wait);
             }

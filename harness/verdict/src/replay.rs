@@ -39,7 +39,7 @@ pub enum RecordingEnd {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct Recording {
+pub struct RecordedCommands {
     pub name: String,
     pub steps: Vec<ReplayStep>,
     pub end: Option<RecordingEnd>,
@@ -100,7 +100,7 @@ pub struct Replay {
 }
 
 impl ReplayResult {
-    pub fn new(recording: &Recording, replay: Replay) -> Self {
+    pub fn new(recording: &RecordedCommands, replay: Replay) -> Self {
         let answered = recording.steps.iter().zip(&replay.replies);
         let pairs: Vec<_> = answered.filter_map(|(step, reply)| Some((step.t_s, step.command?, (*reply)?))).collect();
         let is_identical = |pair: &&(f64, ReplayCommand, ReplayCommand)| pair.1 == pair.2;
@@ -169,7 +169,7 @@ mod tests {
     use super::*;
     use rstest::rstest;
 
-    fn recording() -> Recording {
+    fn recording() -> RecordedCommands {
         let command = |index: u32| ReplayCommand { drive_vpp: 300.0, frequency_hz: 32_000.0 + f64::from(index) };
         let step = |index: u32| ReplayStep {
             t_s: f64::from(index) * 1e-3,
@@ -178,10 +178,10 @@ mod tests {
             wq_um: 0.0,
             command: Some(command(index)),
         };
-        Recording { name: "trace.csv".to_owned(), steps: (0..5).map(step).collect(), end: None }
+        RecordedCommands { name: "trace.csv".to_owned(), steps: (0..5).map(step).collect(), end: None }
     }
 
-    fn replay_of(recording: &Recording) -> Replay {
+    fn replay_of(recording: &RecordedCommands) -> Replay {
         Replay {
             rig: "hosted".to_owned(),
             firmware: "test".to_owned(),
@@ -223,23 +223,23 @@ mod tests {
     }
 
     #[rstest]
-    #[case::reply_missing(|replay: &mut Replay, _: &mut Recording| replay.replies[1] = None, Verdict::Inconclusive)]
-    #[case::rig_lost(|replay: &mut Replay, _: &mut Recording| replay.rig_lost = true, Verdict::Inconclusive)]
+    #[case::reply_missing(|replay: &mut Replay, _: &mut RecordedCommands| replay.replies[1] = None, Verdict::Inconclusive)]
+    #[case::rig_lost(|replay: &mut Replay, _: &mut RecordedCommands| replay.rig_lost = true, Verdict::Inconclusive)]
     #[case::crashed(
-        |replay: &mut Replay, _: &mut Recording| replay.telemetry.ended = Some("trap".into()),
+        |replay: &mut Replay, _: &mut RecordedCommands| replay.telemetry.ended = Some("trap".into()),
         Verdict::Fail
     )]
     #[case::stopped(
-        |replay: &mut Replay, _: &mut Recording| replay.telemetry.stopped = Some("noise".into()),
+        |replay: &mut Replay, _: &mut RecordedCommands| replay.telemetry.stopped = Some("noise".into()),
         Verdict::Fail
     )]
-    #[case::no_0_v(|replay: &mut Replay, _: &mut Recording| replay.safe_confirmed = false, Verdict::Inconclusive)]
-    #[case::nothing(|replay: &mut Replay, _: &mut Recording| replay.replies.clear(), Verdict::Inconclusive)]
+    #[case::no_0_v(|replay: &mut Replay, _: &mut RecordedCommands| replay.safe_confirmed = false, Verdict::Inconclusive)]
+    #[case::nothing(|replay: &mut Replay, _: &mut RecordedCommands| replay.replies.clear(), Verdict::Inconclusive)]
     #[case::cut(
-        |_: &mut Replay, recording: &mut Recording| recording.end = Some(RecordingEnd::Fault { at_s: 0.005 }),
+        |_: &mut Replay, recording: &mut RecordedCommands| recording.end = Some(RecordingEnd::Fault { at_s: 0.005 }),
         Verdict::Inconclusive
     )]
-    fn a_pass_needs_a_whole_replay(#[case] change: fn(&mut Replay, &mut Recording), #[case] expected: Verdict) {
+    fn a_pass_needs_a_whole_replay(#[case] change: fn(&mut Replay, &mut RecordedCommands), #[case] expected: Verdict) {
         let mut recording = recording();
         let mut replay = replay_of(&recording);
         change(&mut replay, &mut recording);

@@ -59,7 +59,7 @@ pub struct ReplaySpec<'a> {
 }
 
 #[derive(Debug, Clone)]
-pub struct Replay {
+pub struct MethodReplay {
     plate: Plate,
     scene: ConditionProfiles,
     intervals: Vec<ReplayInterval>,
@@ -68,14 +68,14 @@ pub struct Replay {
 }
 
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct ReplayResult {
+pub struct MethodResult {
     /// W at the control instants, µm. For the carrier equations it is the phasor of y and y'.
     pub samples: Vec<Complex64>,
     pub seconds: f64,
     pub failure: Option<MethodFailure>,
 }
 
-impl Replay {
+impl MethodReplay {
     /// Splits the trial at every control instant, drive change and profile point. Assumes that σ
     /// and ω0 are linear between these instants, as with most profiles and damping curves.
     pub fn new(course: &ReplaySpec<'_>) -> Self {
@@ -154,7 +154,7 @@ impl Replay {
     }
 
     /// [`IntegrationMethod::advance`] defines `setting`. Reuses the memory of `outcome`.
-    pub fn integrate(&self, frame: EquationForm, method: IntegrationMethod, setting: f64, outcome: &mut ReplayResult) {
+    pub fn integrate(&self, frame: EquationForm, method: IntegrationMethod, setting: f64, outcome: &mut MethodResult) {
         outcome.samples.clear();
         (outcome.seconds, outcome.failure) = (0.0, None);
         let played = match frame {
@@ -182,7 +182,7 @@ impl Replay {
         &self,
         method: IntegrationMethod,
         setting: f64,
-        outcome: &mut ReplayResult,
+        outcome: &mut MethodResult,
         problem: impl Fn(&ProblemParameters) -> P,
         unpack: impl Fn(&[f64; N]) -> State,
     ) -> Result<(), MethodFailure> {
@@ -208,7 +208,7 @@ impl Replay {
         &self,
         method: IntegrationMethod,
         setting: f64,
-        outcome: &mut ReplayResult,
+        outcome: &mut MethodResult,
     ) -> Result<(), MethodFailure> {
         let mut x = [0.0; 3];
         for ReplayInterval { seconds, situation, theta, ends_at_control, .. } in &self.intervals {

@@ -4,7 +4,7 @@ use crate::integration::failure::MethodFailure;
 use crate::integration::fixed::FixedStepMethod;
 use crate::integration::method::AdaptiveMethod;
 use crate::integration::method::IntegrationMethod;
-use crate::integration::replay::{EquationForm, Replay, ReplayResult};
+use crate::integration::replay::{EquationForm, MethodReplay, MethodResult};
 use crate::measured_run::{median, thread_cpu_time};
 use platebench_plate::{Complex64, Model, Plant};
 use std::hint::black_box;
@@ -84,12 +84,12 @@ pub struct SweepResult {
 }
 
 struct SolverTimer<'a> {
-    passage: &'a Replay,
+    passage: &'a MethodReplay,
     solver: Solver,
     repeats: u32,
     is_slow: bool,
     costs: Vec<f64>,
-    outcome: ReplayResult,
+    outcome: MethodResult,
 }
 
 impl SolverTimer<'_> {
@@ -128,7 +128,7 @@ impl SolverTimer<'_> {
     }
 }
 
-pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
+pub fn sweep(passage: &MethodReplay, effort: &SweepConfig) -> Vec<SweepResult> {
     let truths = ReferenceSolutions::new(passage);
     let exact = Model::ALL.map(Solver::Exact);
     let general = EquationForm::ALL.into_iter().flat_map(|frame| {
@@ -148,7 +148,7 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
             repeats: 1,
             is_slow: false,
             costs: Vec::new(),
-            outcome: ReplayResult::default(),
+            outcome: MethodResult::default(),
         })
         .collect();
     for runner in &mut runners {
@@ -165,15 +165,15 @@ pub fn sweep(passage: &Replay, effort: &SweepConfig) -> Vec<SweepResult> {
 }
 
 struct ReferenceSolutions<'a> {
-    passage: &'a Replay,
+    passage: &'a MethodReplay,
     /// Samples of the exact propagation and of [`REFERENCE`], per form of the equations.
     by_form: Vec<(EquationForm, [Vec<Complex64>; 2])>,
 }
 
 impl<'a> ReferenceSolutions<'a> {
-    fn new(passage: &'a Replay) -> Self {
+    fn new(passage: &'a MethodReplay) -> Self {
         let of_frame = |frame: EquationForm| {
-            let mut tight = ReplayResult::default();
+            let mut tight = MethodResult::default();
             let (method, tolerance) = REFERENCE;
             passage.integrate(frame, method, tolerance, &mut tight);
             (frame, [passage.exact_samples(frame), tight.samples])

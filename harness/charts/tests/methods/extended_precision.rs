@@ -2,7 +2,7 @@
 //! solution with about 31 decimal digits.
 
 use platebench_charts::integration::{
-    AdaptiveMethod, EquationForm, IntegrationMethod, Replay, ReplayResult, ReplaySpec,
+    AdaptiveMethod, EquationForm, IntegrationMethod, MethodReplay, MethodResult, ReplaySpec,
 };
 use platebench_plate::{Complex64, ConditionProfiles, Drive, Mode, Profile, Time};
 use platebench_test_kit::paper_plate;
@@ -82,7 +82,7 @@ fn modal(mode: &Mode, drive: &Drive) -> Matrix<5> {
 }
 
 /// A replay under 0.5 N whose excitation changes in every period, as with a controller.
-fn case() -> (Replay, Vec<(Mode, Drive)>) {
+fn case() -> (MethodReplay, Vec<(Mode, Drive)>) {
     let plate = paper_plate();
     let scene =
         ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.5) };
@@ -94,7 +94,7 @@ fn case() -> (Replay, Vec<(Mode, Drive)>) {
     let drives: Vec<(Time, Drive)> = (0..PERIODS).map(|k| (start(k), drive(k))).collect();
     let mode = plate.mode(&scene.at(Time::ZERO));
     let intervals = drives.iter().map(|(_, drive)| (mode, *drive)).collect();
-    let replay = Replay::new(&ReplaySpec {
+    let replay = MethodReplay::new(&ReplaySpec {
         plate: &plate,
         scene: &scene,
         drives: &drives,
@@ -120,7 +120,7 @@ fn the_exact_propagation_is_exact_to_rounding(
     };
     assert_eq!(truth.len(), PERIODS as usize);
     let reference = replay.relative_error(&replay.exact_samples(form), &truth);
-    let mut integrated = ReplayResult::default();
+    let mut integrated = MethodResult::default();
     let dop853 = IntegrationMethod::Adaptive(AdaptiveMethod::Dop853);
     replay.integrate(form, dop853, 1e-13, &mut integrated);
     let integrated = replay.relative_error(&integrated.samples, &truth);

@@ -4,7 +4,7 @@ use platebench_charts::integration::FixedStepMethod;
 use platebench_charts::integration::problem::{CarrierProblem, EnvelopeProblem, ModalProblem, ProblemParameters};
 use platebench_charts::integration::sweep::cheapest_from_a_crate;
 use platebench_charts::integration::{
-    AdaptiveMethod, EquationForm, IntegrationMethod, Replay, ReplayResult, ReplaySpec, Solver, SolverStatus,
+    AdaptiveMethod, EquationForm, IntegrationMethod, MethodReplay, MethodResult, ReplaySpec, Solver, SolverStatus,
     SweepConfig, sweep,
 };
 use platebench_plate::{Complex64, ConditionProfiles, Conditions, Drive, Mode, Model, Profile, State, Time};
@@ -20,7 +20,7 @@ fn constant_scene() -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.5) }
 }
 
-fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> Replay {
+fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> MethodReplay {
     let plate = paper_plate();
     let drive = |vpp: f64, detuning: f64| Drive { vpp, omega: plate.omega0 + detuning };
     let drives = [(ms(0.0), drive(500.0, -545.0)), (ms(1.0), drive(200.0, -200.0)), (ms(2.4), drive(290.0, 30.0))];
@@ -32,17 +32,22 @@ fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> Replay {
         end: ms(f64::from(periods)),
         setpoint_um: 2.0,
     };
-    Replay::new(&course)
+    MethodReplay::new(&course)
 }
 
-fn integrate_replay(passage: &Replay, frame: EquationForm, method: IntegrationMethod, setting: f64) -> ReplayResult {
-    let mut outcome = ReplayResult::default();
+fn integrate_replay(
+    passage: &MethodReplay,
+    frame: EquationForm,
+    method: IntegrationMethod,
+    setting: f64,
+) -> MethodResult {
+    let mut outcome = MethodResult::default();
     passage.integrate(frame, method, setting, &mut outcome);
     outcome
 }
 
 fn integration_error(
-    passage: &Replay,
+    passage: &MethodReplay,
     frame: EquationForm,
     method: IntegrationMethod,
     setting: f64,

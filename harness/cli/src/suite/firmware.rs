@@ -9,7 +9,8 @@ use crate::stdio;
 use clap::Args;
 use platebench_document::Style;
 use platebench_experiments::firmware_analysis::{
-    AnalysisError, Coverage, CoverageConfig, Suite, document as coverage_document, lcov_tracefile, measure_coverage,
+    CodeCoverage, CoverageConfig, FirmwareAnalysisError, FirmwareSuite, document as coverage_document, lcov_tracefile,
+    measure_coverage,
 };
 use platebench_experiments::mutation::mutants::MutantFilter;
 use platebench_experiments::mutation::{
@@ -69,7 +70,7 @@ pub(super) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResul
     let scenarios = find_scenarios(scenarios, tags, |_| true, detail)?;
     let (rig, only, jobs) = (rig.clone(), arguments.only.clone(), job_count(*jobs));
     let work = move |cancel: &CancelToken, _: &mut EventSender<()>| {
-        let suite = Suite::new(&rig, scenarios)?;
+        let suite = FirmwareSuite::new(&rig, scenarios)?;
         let config = CoverageConfig { suite, jobs, only, cancel: cancel.clone() };
         measure_coverage(&config).map(|coverage| (coverage, config.suite.not_applicable))
     };
@@ -89,7 +90,7 @@ pub(super) fn coverage(arguments: &CoverageArgs, detail: Detail) -> CommandResul
     Ok(exit)
 }
 
-fn write_coverage(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> Result<(), Failure> {
+fn write_coverage(arguments: &CoverageArgs, coverage: &CodeCoverage, text: &str) -> Result<(), Failure> {
     let tracefile = lcov_tracefile(coverage);
     if let Some(path) = &arguments.lcov {
         stdio::write_output(path, &tracefile).or_invalid_at(path)?;
@@ -102,10 +103,10 @@ fn write_coverage(arguments: &CoverageArgs, coverage: &Coverage, text: &str) -> 
     Ok(())
 }
 
-impl From<AnalysisError> for Failure {
-    fn from(error: AnalysisError) -> Self {
+impl From<FirmwareAnalysisError> for Failure {
+    fn from(error: FirmwareAnalysisError) -> Self {
         match error {
-            AnalysisError::NotSafe => Self::new(Exit::Unreachable, &error),
+            FirmwareAnalysisError::NotSafe => Self::new(Exit::Unreachable, &error),
             error => Self::new(if error.is_invalid_input() { Exit::Invalid } else { Exit::Inconclusive }, &error),
         }
     }
@@ -163,7 +164,7 @@ pub(super) fn mutate(arguments: &MutateArgs, detail: Detail) -> CommandResult {
     let (sample, until_width, seed) =
         (arguments.sample.map(|count| count as usize), arguments.until_width, arguments.seed);
     let work = move |cancel: &CancelToken, events: &mut EventSender<()>| {
-        let suite = Suite::new(&rig, scenarios)?;
+        let suite = FirmwareSuite::new(&rig, scenarios)?;
         let config = MutationConfig { suite, filter, sample, until_width, seed, jobs, cancel: cancel.clone() };
         measure_mutation(&config, &mut |_| events.send(()))
     };

@@ -7,8 +7,8 @@
 
 use crate::law_loops::{LoopCase, OperatingCondition};
 use crate::loops::{
-    AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, Margins,
-    PiGains, StepResponse, delay_boundary,
+    ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopError, LoopTiming, Margins, PiGains,
+    StepResponse, delay_boundary,
 };
 use platebench_controller::{Law, Measurement};
 use platebench_engine::delay_boundary::DelayBoundary;
@@ -104,7 +104,7 @@ impl GainDesign {
         plate: &Plate,
         model: Model,
         which: [bool; 2],
-    ) -> Result<ClosedLoop, AnalysisError> {
+    ) -> Result<ClosedLoop, LoopError> {
         let (plant, controller) = self.linear_parts(&TuningTarget { plate, ..*target }, model, which);
         ClosedLoop::new(plant, controller, LoopTiming { period: target.period(), delay: target.delay })
     }
@@ -262,7 +262,7 @@ pub(crate) fn design_delay_boundary(
     target: &TuningTarget<'_>,
     plate: &Plate,
     design: &GainDesign,
-) -> Result<DelayBoundary, AnalysisError> {
+) -> Result<DelayBoundary, LoopError> {
     let (plant, controller) = design.linear_parts(&TuningTarget { plate, ..*target }, Model::Modal, [true; 2]);
     delay_boundary(&plant, &controller, target.period(), longest_delay(target))
 }
@@ -283,7 +283,7 @@ pub(crate) fn delay_margin_ms(target: &TuningTarget<'_>, boundary: DelayBoundary
     }
 }
 
-pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<DesignEvaluation, AnalysisError> {
+pub fn evaluate_design(target: &TuningTarget<'_>, design: GainDesign) -> Result<DesignEvaluation, LoopError> {
     let GainDesign { amplitude, frequency, discretisation, response } = design;
     let both = design.closed_loop(target, target.plate, Model::Modal, [true; 2])?;
     let alone = design.closed_loop(target, target.plate, Model::Envelope, [true, false])?;
@@ -306,7 +306,7 @@ fn evaluate_loop(
     design: &GainDesign,
     pi: PiGains,
     which: [bool; 2],
-) -> Result<LoopEvaluation, AnalysisError> {
+) -> Result<LoopEvaluation, LoopError> {
     let closed = design.closed_loop(target, target.plate, Model::Envelope, which)?;
     let mut poles = closed.poles()?;
     // Wd and Wq are decoupled here. Removes the pole of the component of the other, open loop.

@@ -2,7 +2,7 @@
 
 use crate::{assert_close, scaled};
 use platebench_design::loops::{
-    AnalysisError, ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopTiming, PiGains,
+    ClosedLoop, Discretisation, LinearController, LinearPlant, LoopChannel, LoopError, LoopTiming, PiGains,
     delay_boundary,
 };
 use platebench_engine::delay_boundary::DelayBoundary;
@@ -154,7 +154,7 @@ fn margins_end_at_the_stability_boundary() {
 fn rejects_invalid_timing(#[case] period: f64, #[case] delay: f64) {
     let (plant, controller) = amplitude_loop(matched);
     let refused = ClosedLoop::new(plant, controller, LoopTiming { period, delay });
-    assert_eq!(refused.unwrap_err(), AnalysisError::NotFinite);
+    assert_eq!(refused.unwrap_err(), LoopError::NotFinite);
 }
 
 #[test]

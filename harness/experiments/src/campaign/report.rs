@@ -6,7 +6,7 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::passing_region::PassingRegion;
 use crate::campaign::results::{CSV_FILE, PARQUET_FILE, axis_label, with_unit};
 use crate::campaign::row::{Tally, TrialRow, margin_text};
-use crate::campaign::sample::{FirstOrderIndex, Quantile, SampleResult, Sensitivity};
+use crate::campaign::sample::{FirstOrderIndex, Quantile, RankSensitivity, SampleResult};
 use crate::campaign::summary::{SUMMARY_FILE, Summary};
 use crate::campaign::worst_run::ResponseLinks;
 use platebench_document::chart::{HeatAxis, HeatFigure, HeatPanel, HeatScale};
@@ -59,7 +59,7 @@ fn sensitivities(sample: &SampleResult) -> Table {
     let names = ["rank correlation", "from", "to", "first-order index", "from", "to"];
     let mut table = Table::new([Column::from("value")].into_iter().chain(names.map(number)));
     table.extend(sample.sensitivities.iter().map(|sensitivity| {
-        let Sensitivity { key, correlation, interval: [low, high], first_order } = sensitivity;
+        let RankSensitivity { key, correlation, interval: [low, high], first_order } = sensitivity;
         let index = first_order.map(|FirstOrderIndex { index, interval: [low, high] }| [index, low, high]);
         let index = index.map_or_else(|| [const { String::new() }; 3], |index| index.map(|part| format!("{part:.3}")));
         [key.clone()].into_iter().chain([correlation, low, high].map(|part| format!("{part:.3}"))).chain(index)

@@ -297,7 +297,7 @@ const FIRST_LOOK: u32 = 32;
 
 /// Looks at the first 32, 64, 128 … trials.
 #[derive(Debug)]
-pub struct SequentialDecision {
+pub struct EarlyDecision {
     at_most: Option<f64>,
     confidence: f64,
     looks: std::vec::IntoIter<Look>,
@@ -306,7 +306,7 @@ pub struct SequentialDecision {
     decision: Option<(u32, Verdict)>,
 }
 
-impl SequentialDecision {
+impl EarlyDecision {
     pub(crate) fn new(trials: u64, at_most: Option<f64>, confidence: f64) -> Self {
         let trials = u32::try_from(trials).unwrap_or(u32::MAX);
         let mut looks = plan_looks(FIRST_LOOK.min(trials), trials).into_iter();
@@ -469,7 +469,7 @@ mod tests {
     }
 
     fn decide(rows: impl IntoIterator<Item = TrialRow>) -> Option<(u32, Verdict)> {
-        let mut decision = SequentialDecision::new(1_000, Some(0.1), 0.95);
+        let mut decision = EarlyDecision::new(1_000, Some(0.1), 0.95);
         rows.into_iter().for_each(|row| decision.add(&row));
         decision.decision()
     }

@@ -23,7 +23,7 @@ const SHARES: [f64; 3] = [0.05, 0.5, 0.95];
 const MIN_TRIALS: usize = 10;
 
 #[derive(Debug, Default)]
-pub struct Sample {
+pub struct TrialSample {
     /// One column per variable; NaN for a value that is not a number.
     draws: Vec<Vec<f64>>,
     /// One column per expectation; infinite for a trial without a value.
@@ -45,7 +45,7 @@ pub struct Quantile {
 
 /// Spearman's rank correlation of a varied value and the smallest margin.
 #[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
-pub struct Sensitivity {
+pub struct RankSensitivity {
     pub key: String,
     #[serde(rename = "rank_correlation")]
     pub correlation: f64,
@@ -65,10 +65,10 @@ pub struct FirstOrderIndex {
 pub struct SampleResult {
     pub trials: usize,
     pub quantiles: Vec<Quantile>,
-    pub sensitivities: Vec<Sensitivity>,
+    pub sensitivities: Vec<RankSensitivity>,
 }
 
-impl Sample {
+impl TrialSample {
     pub(crate) fn add(&mut self, campaign: &Campaign, row: &TrialRow) {
         if self.scores.len() >= MAX_TRIALS {
             return;
@@ -103,7 +103,7 @@ impl Sample {
     }
 
     /// Strongest correlation first. Leaves out variables that are not numbers or never vary.
-    fn sensitivities(&self, campaign: &Campaign) -> Vec<Sensitivity> {
+    fn sensitivities(&self, campaign: &Campaign) -> Vec<RankSensitivity> {
         let scores = ranks(&self.scores);
         let sensitivity = |(variable, draws): (&Variable, &Vec<f64>)| {
             let is_number = draws.iter().all(|draw| draw.is_finite()) && draws.len() >= MIN_TRIALS;
@@ -113,7 +113,7 @@ impl Sample {
                 .then(|| first_order(&ranks(draws), &scores, campaign.confidence, campaign.seed))
                 .flatten()
                 .map(|(index, interval)| FirstOrderIndex { index, interval });
-            Some(Sensitivity { key: variable.key.clone(), correlation, interval, first_order })
+            Some(RankSensitivity { key: variable.key.clone(), correlation, interval, first_order })
         };
         let mut found: Vec<_> = campaign.variables.iter().zip(&self.draws).filter_map(sensitivity).collect();
         found.sort_by(|one, other| other.correlation.abs().total_cmp(&one.correlation.abs()));

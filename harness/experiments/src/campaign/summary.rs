@@ -5,8 +5,8 @@ use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::passing_region::PassingRegion;
 use crate::campaign::plan::part_name;
 use crate::campaign::rare::{ChainEstimate, CombinedEstimate, RareMethod};
-use crate::campaign::row::{CAUSES, SequentialDecision, ShardEnd, Tally, TrialRow, keep_worst, margin_text};
-use crate::campaign::sample::{Sample, SampleResult};
+use crate::campaign::row::{CAUSES, EarlyDecision, ShardEnd, Tally, TrialRow, keep_worst, margin_text};
+use crate::campaign::sample::{SampleResult, TrialSample};
 use crate::campaign::truncation::Truncation;
 use platebench_model::quoted;
 use platebench_model::record::{Cause, Verdict};
@@ -147,8 +147,8 @@ pub struct Summary<'a> {
     /// Results of the chains of `search` and `rare`. Empty for other methods.
     pub chains: ChainOutcome,
     /// Sample of `grid`, `random` and `sobol`. Empty for other methods.
-    pub sample: Sample,
-    pub sequential: SequentialDecision,
+    pub sample: TrialSample,
+    pub sequential: EarlyDecision,
     pub agreement: Option<Agreement>,
     pub end: ShardEnd,
 }
@@ -168,8 +168,8 @@ impl<'a> Summary<'a> {
             failing: Vec::new(),
             causes: [0; 4],
             chains: ChainOutcome::default(),
-            sample: Sample::default(),
-            sequential: SequentialDecision::new(campaign.trials, campaign.at_most, campaign.confidence),
+            sample: TrialSample::default(),
+            sequential: EarlyDecision::new(campaign.trials, campaign.at_most, campaign.confidence),
             agreement: None,
             end: ShardEnd::default(),
         }

@@ -67,14 +67,14 @@ pub struct RangeCoverage {
 }
 
 #[derive(Debug, Clone, Default)]
-pub struct Coverage {
+pub struct ExplorationCoverage {
     ranges: BTreeMap<&'static str, RangeCoverage>,
     pairs: BTreeMap<(ChangeKind, ChangeKind), u64>,
     /// Number of scenes by number of earlier trials.
     pub histories: BTreeMap<usize, u64>,
 }
 
-impl Coverage {
+impl ExplorationCoverage {
     pub fn ranges(&self) -> impl Iterator<Item = &RangeCoverage> {
         self.ranges.values()
     }

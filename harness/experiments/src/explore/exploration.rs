@@ -1,7 +1,7 @@
 //! Plays generated scenes on several workers until the budget is used or enough scenes fail.
 
 use crate::explore::choices::{Choice, Drawn};
-use crate::explore::coverage::Coverage;
+use crate::explore::coverage::ExplorationCoverage;
 use crate::explore::envelope::Envelope;
 use crate::explore::generator::Generator;
 use crate::explore::guidance::{Corpus, Feature, GuidanceTally, ItemKind, ROUND, RecordingLink};
@@ -195,7 +195,7 @@ pub struct Exploration {
     pub regressions: usize,
     pub failed_regressions: Vec<FailedRegression>,
     pub unjudged_regressions: Vec<UnjudgedRegression>,
-    pub coverage: Coverage,
+    pub coverage: ExplorationCoverage,
     pub guidance: GuidanceTally,
     pub elapsed: Duration,
     pub is_interrupted: bool,

@@ -5,7 +5,7 @@ use platebench_model::scenario::Diagnostic;
 use platebench_rig::{ConnectError, EmulatedError, RigError};
 
 #[derive(Debug, thiserror::Error)]
-pub enum AnalysisError {
+pub enum FirmwareAnalysisError {
     #[error("the rig `{0}` does not run the firmware on the emulator, expected --rig emulated or --rig emulated:ELF")]
     NotEmulated(String),
     #[error("{0}")]
@@ -54,7 +54,7 @@ fn first_names(functions: &[String]) -> String {
     names.join(", ") + if functions.len() > MAX_NAMES { ", …" } else { "" }
 }
 
-impl AnalysisError {
+impl FirmwareAnalysisError {
     /// False if the run was cancelled or the bench has a defect.
     pub fn is_invalid_input(&self) -> bool {
         !matches!(self, Self::Cancelled | Self::Run(RunError::Cancelled) | Self::Disassembler(_))

@@ -1,13 +1,17 @@
 //! Checks that a firmware's code has line tables, without which its lines are missing from coverage.
 
 use crate::firmware_analysis::code_map::CodeMap;
-use crate::firmware_analysis::error::AnalysisError;
+use crate::firmware_analysis::error::FirmwareAnalysisError;
 use crate::firmware_analysis::is_standard_library;
 use platebench_rig::Symbols;
 
 /// Fails if functions of the firmware have no line table. With `has_selection`, the user selects files,
 /// so the check fails only if no function has one.
-pub(crate) fn check_line_tables(map: &CodeMap, symbols: &Symbols, has_selection: bool) -> Result<(), AnalysisError> {
+pub(crate) fn check_line_tables(
+    map: &CodeMap,
+    symbols: &Symbols,
+    has_selection: bool,
+) -> Result<(), FirmwareAnalysisError> {
     let mut without = Vec::new();
     let mut with = 0;
     for function in &map.functions {
@@ -33,7 +37,7 @@ pub(crate) fn check_line_tables(map: &CodeMap, symbols: &Symbols, has_selection:
         return Ok(());
     }
     let total = without.len() + with;
-    Err(AnalysisError::NoLines { functions: without, total, compressed: symbols.has_compressed_lines() })
+    Err(FirmwareAnalysisError::NoLines { functions: without, total, compressed: symbols.has_compressed_lines() })
 }
 
 /// Start-up code in assembler of ST and of the crate `cortex-m-rt`.

@@ -1,7 +1,7 @@
 //! Plays scenarios in memory on the emulated rig, with one emulated board per worker.
 
 use crate::firmware_analysis::code_map::CodeMap;
-use crate::firmware_analysis::error::AnalysisError;
+use crate::firmware_analysis::error::FirmwareAnalysisError;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, TrialResult, law, why_not_applicable};
 use platebench_model::record::Verdict;
@@ -22,7 +22,7 @@ pub(crate) type BoardExecutor<'a> = Executor<'a, EmulatedLink>;
 
 /// Scenarios that the firmware can play, with their laws.
 #[derive(Debug)]
-pub struct Suite {
+pub struct FirmwareSuite {
     elf: Option<PathBuf>,
     pub scenarios: Vec<(Scenario, LawId)>,
     pub not_applicable: Vec<String>,
@@ -32,7 +32,7 @@ pub struct Suite {
 pub(crate) struct SuiteOutcome {
     pub(crate) verdict: Verdict,
     pub(crate) detection: Option<Detection>,
-    pub(crate) closest_margin: Option<Margin>,
+    pub(crate) closest_margin: Option<ExpectationMargin>,
     /// Hash over all drives and frequencies of the trials.
     pub(crate) commands: u64,
 }
@@ -48,37 +48,41 @@ pub(crate) struct Detection {
 
 /// Distance of a metric from its limit, divided by the scale of the limit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Margin {
+pub struct ExpectationMargin {
     pub scenario: String,
     pub expectation: String,
     pub margin: f64,
 }
 
-impl Suite {
-    pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, AnalysisError> {
+impl FirmwareSuite {
+    pub fn new(rig: &RigSpec, scenarios: Vec<Scenario>) -> Result<Self, FirmwareAnalysisError> {
         if !rig.has(Capability::EmulatedChip) {
-            return Err(AnalysisError::NotEmulated(rig.to_string()));
+            return Err(FirmwareAnalysisError::NotEmulated(rig.to_string()));
         }
         let mut suite =
             Self { elf: rig.image().map(Path::to_owned), scenarios: Vec::new(), not_applicable: Vec::new() };
         let mut session = Session::open(FaultInjector::new(suite.connect()?))?;
         for scenario in scenarios {
-            let law = law(&scenario).map_err(|fault| AnalysisError::Scenario(Box::new(fault)))?;
+            let law = law(&scenario).map_err(|fault| FirmwareAnalysisError::Scenario(Box::new(fault)))?;
             let missing = why_not_applicable(&scenario, law, true, &mut session);
-            match missing.map_err(AnalysisError::Scenario)? {
+            match missing.map_err(FirmwareAnalysisError::Scenario)? {
                 None => suite.scenarios.push((scenario, law)),
                 Some(reason) => suite.not_applicable.push(format!("{}: {reason}", scenario.file)),
             }
         }
         if session.close() != SafeEnd::Confirmed {
-            return Err(AnalysisError::NotSafe);
+            return Err(FirmwareAnalysisError::NotSafe);
         }
-        if suite.scenarios.is_empty() { Err(AnalysisError::NothingApplicable(suite.not_applicable)) } else { Ok(suite) }
+        if suite.scenarios.is_empty() {
+            Err(FirmwareAnalysisError::NothingApplicable(suite.not_applicable))
+        } else {
+            Ok(suite)
+        }
     }
 
-    pub(crate) fn code(&self) -> Result<(Symbols, CodeMap), AnalysisError> {
+    pub(crate) fn code(&self) -> Result<(Symbols, CodeMap), FirmwareAnalysisError> {
         let (symbols, map) = read_code(self.elf.as_deref())?;
-        if map.functions.is_empty() { Err(AnalysisError::NoFunctions) } else { Ok((symbols, map)) }
+        if map.functions.is_empty() { Err(FirmwareAnalysisError::NoFunctions) } else { Ok((symbols, map)) }
     }
 
     pub(crate) fn connect(&self) -> Result<EmulatedLink, ConnectError> {
@@ -112,7 +116,7 @@ pub(crate) fn play(
     executor: &mut BoardExecutor<'_>,
     scenario: &Scenario,
     law: LawId,
-) -> Result<Option<SuiteOutcome>, AnalysisError> {
+) -> Result<Option<SuiteOutcome>, FirmwareAnalysisError> {
     let mut commands = DefaultHasher::new();
     let end = executor.play_until_decided(scenario, scenario, law, |result| {
         if let Some(detection) = detection(result) {
@@ -177,7 +181,7 @@ fn outcome(scenario: &Scenario, judgement: &Judgement) -> SuiteOutcome {
             emulator_failed: false,
             is_unconfirmed: false,
         }),
-        closest_margin: closest.map(|(expectation, margin)| Margin {
+        closest_margin: closest.map(|(expectation, margin)| ExpectationMargin {
             scenario: scenario.file.clone(),
             expectation,
             margin,

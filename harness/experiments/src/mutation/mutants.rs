@@ -2,7 +2,7 @@
 //! and A7.7.
 
 use crate::firmware_analysis::code_map::{CodeMap, Flow, Instruction, it_condition, it_length};
-use crate::firmware_analysis::error::AnalysisError;
+use crate::firmware_analysis::error::FirmwareAnalysisError;
 use crate::firmware_analysis::is_standard_library;
 use capstone::arch::arm::{ArchExtraMode, ArchMode};
 use capstone::arch::{BuildsCapstone, BuildsCapstoneExtraMode};
@@ -15,7 +15,7 @@ use std::collections::{BTreeMap, BTreeSet};
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, strum::VariantArray, strum::Display, strum::IntoStaticStr,
 )]
 #[strum(const_into_str, serialize_all = "snake_case")]
-pub enum Operator {
+pub enum MutationOperator {
     /// Exchanges addition and subtraction, or multiplication and division, or removes a change of
     /// sign.
     Arithmetic,
@@ -35,7 +35,7 @@ pub enum Operator {
     RemovedSaturation,
 }
 
-impl Operator {
+impl MutationOperator {
     pub const ALL: &[Self] = <Self as strum::VariantArray>::VARIANTS;
 
     pub const fn name(self) -> &'static str {
@@ -44,15 +44,15 @@ impl Operator {
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Change {
-    pub(crate) operator: Operator,
+pub(crate) struct CodeChange {
+    pub(crate) operator: MutationOperator,
     pub(crate) address: u32,
     pub(crate) bytes: Vec<u8>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Mutant {
-    pub operator: Operator,
+pub struct CodeMutant {
+    pub operator: MutationOperator,
     /// Address of the instruction whose effect changes.
     pub instruction: u32,
     /// Address of `original`, which is the instruction or its constant.
@@ -86,7 +86,7 @@ pub fn all_mutants(
     disassembler: &Disassembler,
     filter: &MutantFilter,
     executed: &BTreeMap<u32, bool>,
-) -> Vec<Mutant> {
+) -> Vec<CodeMutant> {
     let places = places(map, symbols);
     let in_step = |address: &u32| executed.get(&map.leader_of(*address)) == Some(&true);
     let step_functions: BTreeSet<&str> =
@@ -106,7 +106,7 @@ pub fn all_mutants(
                 // Several instructions may load the same constant, whose changes are listed once.
                 if seen.insert((change.address, change.bytes.clone())) {
                     let mutant = mutant(map, disassembler, instruction, change, place);
-                    mutants.extend(mutant.map(|mutant| Mutant { in_control_step: in_step(address), ..mutant }));
+                    mutants.extend(mutant.map(|mutant| CodeMutant { in_control_step: in_step(address), ..mutant }));
                 }
             }
         }
@@ -160,9 +160,9 @@ fn mutant(
     map: &CodeMap,
     disassembler: &Disassembler,
     instruction: &Instruction,
-    change: Change,
+    change: CodeChange,
     place: &CandidatePlace,
-) -> Option<Mutant> {
+) -> Option<CodeMutant> {
     let original = map.bytes(change.address, change.bytes.len())?.to_vec();
     let own = disassembler.text(instruction.address, &instruction.bytes())?;
     let (before, after) = if change.address == instruction.address {
@@ -174,7 +174,7 @@ fn mutant(
         };
         (format!("{own} = {}", value(&original)), format!("{own} = {}", value(&change.bytes)))
     };
-    Some(Mutant {
+    Some(CodeMutant {
         operator: change.operator,
         instruction: instruction.address,
         address: change.address,
@@ -191,9 +191,9 @@ fn mutant(
 pub struct Disassembler(Capstone);
 
 impl Disassembler {
-    pub fn new() -> Result<Self, AnalysisError> {
+    pub fn new() -> Result<Self, FirmwareAnalysisError> {
         let built = Capstone::new().arm().mode(ArchMode::Thumb).extra_mode([ArchExtraMode::MClass].into_iter()).build();
-        built.map(Self).map_err(|error: Error| AnalysisError::Disassembler(error.to_string()))
+        built.map(Self).map_err(|error: Error| FirmwareAnalysisError::Disassembler(error.to_string()))
     }
 
     /// Returns assembly such as `vadd.f32 s0, s1, s2`. `None` if `bytes` are no instruction.
@@ -221,24 +221,24 @@ struct Context {
     in_it_block: bool,
 }
 
-fn changes(map: &CodeMap, instruction: &Instruction, context: Context) -> Vec<Change> {
+fn changes(map: &CodeMap, instruction: &Instruction, context: Context) -> Vec<CodeChange> {
     let nop = || if instruction.second.is_some() { WIDE_NOP } else { (NOP, None) };
     let is_clamp = context.in_it_block && context.compares_floats && is_move(instruction);
     let calls = matches!(instruction.flow(), Flow::Call(_));
     let codes = [
-        (Operator::Arithmetic, arithmetic(instruction)),
-        (Operator::Condition, negate(instruction)),
-        (Operator::Boundary, shift_boundary(instruction, context.compares_floats)),
-        (Operator::RemovedCall, calls.then(nop)),
-        (Operator::RemovedStore, is_store(instruction).then(nop)),
-        (Operator::RemovedSaturation, saturation(instruction).or_else(|| is_clamp.then(nop))),
+        (MutationOperator::Arithmetic, arithmetic(instruction)),
+        (MutationOperator::Condition, negate(instruction)),
+        (MutationOperator::Boundary, shift_boundary(instruction, context.compares_floats)),
+        (MutationOperator::RemovedCall, calls.then(nop)),
+        (MutationOperator::RemovedStore, is_store(instruction).then(nop)),
+        (MutationOperator::RemovedSaturation, saturation(instruction).or_else(|| is_clamp.then(nop))),
     ];
     let codes = codes.into_iter().filter_map(|(operator, code)| Some((operator, code?)));
     let immediates = if is_half_of_address(map, instruction) { Vec::new() } else { immediates(instruction) };
-    let immediates = immediates.into_iter().map(|code| (Operator::Constant, code));
-    let change = |(operator, (first, second)): (Operator, Code)| {
+    let immediates = immediates.into_iter().map(|code| (MutationOperator::Constant, code));
+    let change = |(operator, (first, second)): (MutationOperator, Code)| {
         let changed = Instruction { address: instruction.address, first, second };
-        Change { operator, address: instruction.address, bytes: changed.bytes() }
+        CodeChange { operator, address: instruction.address, bytes: changed.bytes() }
     };
     codes.chain(immediates).map(change).chain(literals(map, instruction)).collect()
 }
@@ -401,9 +401,12 @@ fn integer_literal(instruction: &Instruction) -> Option<u32> {
     }
 }
 
-fn literals(map: &CodeMap, instruction: &Instruction) -> Vec<Change> {
-    let change =
-        |address, word: u32| Change { operator: Operator::Constant, address, bytes: word.to_le_bytes().to_vec() };
+fn literals(map: &CodeMap, instruction: &Instruction) -> Vec<CodeChange> {
+    let change = |address, word: u32| CodeChange {
+        operator: MutationOperator::Constant,
+        address,
+        bytes: word.to_le_bytes().to_vec(),
+    };
     if let Some(address) = float_literal(instruction) {
         let Some(word) = map.word(address) else { return Vec::new() };
         let value = f32::from_bits(word);

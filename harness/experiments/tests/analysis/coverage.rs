@@ -1,19 +1,19 @@
 use crate::{suite, workspace_root};
 use platebench_experiments::firmware_analysis::{
-    AnalysisError, Coverage, CoverageConfig, lcov_tracefile, measure_coverage,
+    CodeCoverage, CoverageConfig, FirmwareAnalysisError, lcov_tracefile, measure_coverage,
 };
 use platebench_rig::CancelToken;
 use platebench_test_kit::skip_without;
 use std::fs;
 use std::process::Command;
 
-fn coverage(scenarios: &[&str], only: &[&str]) -> Result<Coverage, AnalysisError> {
+fn coverage(scenarios: &[&str], only: &[&str]) -> Result<CodeCoverage, FirmwareAnalysisError> {
     let only = only.iter().map(|&part| part.to_owned()).collect();
     measure_coverage(&CoverageConfig { suite: suite(scenarios), jobs: 1, only, cancel: CancelToken::never() })
 }
 
 /// True if more than three lines of the file were executed.
-fn executes(coverage: &Coverage, file: &str) -> bool {
+fn executes(coverage: &CodeCoverage, file: &str) -> bool {
     let (_, file) = coverage.files.iter().find(|(path, _)| path.ends_with(file)).unwrap();
     file.lines.values().filter(|line| line.executed).count() > 3
 }

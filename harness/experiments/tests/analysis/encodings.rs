@@ -1,5 +1,7 @@
 use crate::shipped_code;
-use platebench_experiments::mutation::mutants::{Disassembler, Mutant, MutantFilter, Operator, all_mutants};
+use platebench_experiments::mutation::mutants::{
+    CodeMutant, Disassembler, MutantFilter, MutationOperator, all_mutants,
+};
 use platebench_test_kit::skip_without;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -68,32 +70,34 @@ fn are_negated(before: &str, after: &str) -> bool {
     pairs.iter().any(|&(one, other)| (before, after) == (one, other) || (before, after) == (other, one))
 }
 
-fn is_expected(operator: Operator, before: &(String, String), after: &(String, String)) -> bool {
+fn is_expected(operator: MutationOperator, before: &(String, String), after: &(String, String)) -> bool {
     let (one, other) = (plain(&before.0), plain(&after.0));
     match operator {
-        Operator::Arithmetic => is_swap(one, other) && before.1 == after.1,
-        Operator::Condition if one.starts_with("cb") => one != other && other.starts_with("cb") && before.1 == after.1,
-        Operator::Condition => {
+        MutationOperator::Arithmetic => is_swap(one, other) && before.1 == after.1,
+        MutationOperator::Condition if one.starts_with("cb") => {
+            one != other && other.starts_with("cb") && before.1 == after.1
+        }
+        MutationOperator::Condition => {
             let same = if one.starts_with("it") { one == other } else { before.1 == after.1 };
             same && are_negated(condition(one, &before.1), condition(other, &after.1))
         }
-        Operator::Boundary => {
+        MutationOperator::Boundary => {
             let pair = [condition(one, &before.1), condition(other, &after.1)].into_iter().collect::<BTreeSet<_>>();
             let pairs = [["ge", "gt"], ["le", "lt"], ["cs", "hi"], ["cc", "ls"], ["ls", "mi"], ["hi", "pl"]];
             let same = if one.starts_with("it") { one == other } else { before.1 == after.1 };
             same && pairs.iter().any(|expected| pair == expected.iter().copied().collect())
         }
-        Operator::RemovedCall => one.starts_with("bl") && other == "nop",
-        Operator::RemovedStore => (one.starts_with("str") || one.starts_with("vstr")) && other == "nop",
-        Operator::RemovedSaturation => {
+        MutationOperator::RemovedCall => one.starts_with("bl") && other == "nop",
+        MutationOperator::RemovedStore => (one.starts_with("str") || one.starts_with("vstr")) && other == "nop",
+        MutationOperator::RemovedSaturation => {
             let removed = ["mov", "movs", "vmov.f32", "vldr"].contains(&one) && other == "nop";
             removed || one.ends_with("sat") && other == "mov"
         }
-        Operator::Constant => one == other && before.1 != after.1,
+        MutationOperator::Constant => one == other && before.1 != after.1,
     }
 }
 
-fn shipped_mutants() -> Vec<Mutant> {
+fn shipped_mutants() -> Vec<CodeMutant> {
     let (map, symbols) = shipped_code();
     let all = MutantFilter { functions: vec![String::new()], files: Vec::new() };
     all_mutants(&map, &symbols, &Disassembler::new().unwrap(), &all, &BTreeMap::new())
@@ -116,7 +120,7 @@ fn mutants_are_what_binutils_reads() {
         .collect();
     assert!(wrong.is_empty(), "{} of {}: {}", wrong.len(), code.len(), wrong.join("\n"));
     let operators: BTreeSet<&str> = code.iter().map(|mutant| mutant.operator.name()).collect();
-    assert_eq!(operators.len(), Operator::ALL.len(), "{operators:?}");
+    assert_eq!(operators.len(), MutationOperator::ALL.len(), "{operators:?}");
     assert!(code.len() > 1_000, "{}", code.len());
 }
 
@@ -162,7 +166,7 @@ fn no_half_of_an_address_changes() {
     });
     let halves: BTreeSet<u32> = halves.collect();
     assert!(halves.len() > 20, "{halves:?}");
-    let constants = shipped_mutants().into_iter().filter(|mutant| mutant.operator == Operator::Constant);
+    let constants = shipped_mutants().into_iter().filter(|mutant| mutant.operator == MutationOperator::Constant);
     let (moves, others): (Vec<_>, Vec<_>) = constants.partition(|mutant| mutant.before.starts_with("movw"));
     assert!(!moves.is_empty() && others.len() > 100);
     let changed: Vec<_> = moves.iter().filter(|mutant| halves.contains(&mutant.instruction)).collect();

@@ -1,7 +1,9 @@
 //! Tests images without line tables: their coverage is an error, not 100 %.
 
 use crate::suite_of;
-use platebench_experiments::firmware_analysis::{AnalysisError, Coverage, CoverageConfig, measure_coverage};
+use platebench_experiments::firmware_analysis::{
+    CodeCoverage, CoverageConfig, FirmwareAnalysisError, measure_coverage,
+};
 use platebench_rig::{BUILT_IN_IMAGE, CancelToken};
 use platebench_test_kit::{skip_without, workspace_root};
 use std::path::{Path, PathBuf};
@@ -9,7 +11,7 @@ use std::process::Command;
 
 const TARGET: &str = "-mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard -DBUILD_ID=1ull -std=c11 -O2";
 
-fn coverage(elf: &Path, only: &[&str]) -> Result<Coverage, AnalysisError> {
+fn coverage(elf: &Path, only: &[&str]) -> Result<CodeCoverage, FirmwareAnalysisError> {
     let suite = suite_of(Some(elf), &["paper/fig13-closed-loop.toml"]);
     let only = only.iter().map(|&part| part.to_owned()).collect();
     measure_coverage(&CoverageConfig { suite, jobs: 1, only, cancel: CancelToken::never() })
@@ -46,9 +48,9 @@ fn starter(folder: &Path, options: &str) -> Option<PathBuf> {
     Some(folder.join("starter.elf"))
 }
 
-fn error_of(result: Result<Coverage, AnalysisError>) -> String {
+fn error_of(result: Result<CodeCoverage, FirmwareAnalysisError>) -> String {
     match result {
-        Err(error @ AnalysisError::NoLines { .. }) => {
+        Err(error @ FirmwareAnalysisError::NoLines { .. }) => {
             assert!(error.is_invalid_input());
             error.to_string()
         }

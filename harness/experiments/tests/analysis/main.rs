@@ -5,18 +5,18 @@ mod encodings;
 mod line_tables;
 mod mutation;
 
-use platebench_experiments::firmware_analysis::{CodeMap, Suite};
+use platebench_experiments::firmware_analysis::{CodeMap, FirmwareSuite};
 use platebench_rig::{BUILT_IN_IMAGE, RigSpec, Symbols};
 use platebench_test_kit::{load_scenario, workspace_root};
 use std::path::Path;
 
-fn suite(scenarios: &[&str]) -> Suite {
+fn suite(scenarios: &[&str]) -> FirmwareSuite {
     suite_of(None, scenarios)
 }
 
-fn suite_of(elf: Option<&Path>, scenarios: &[&str]) -> Suite {
+fn suite_of(elf: Option<&Path>, scenarios: &[&str]) -> FirmwareSuite {
     let scenarios = scenarios.iter().map(|name| load_scenario(name));
-    Suite::new(&RigSpec::emulated(elf.map(Path::to_owned)), scenarios.collect()).unwrap()
+    FirmwareSuite::new(&RigSpec::emulated(elf.map(Path::to_owned)), scenarios.collect()).unwrap()
 }
 
 fn shipped_code() -> (CodeMap, Symbols) {

@@ -1,7 +1,7 @@
 use crate::suite;
 use platebench_experiments::mutation::mutants::MutantFilter;
+use platebench_experiments::mutation::{MutantStatus, mutation_json};
 use platebench_experiments::mutation::{MutationConfig, MutationReport, measure_mutation};
-use platebench_experiments::mutation::{Status, mutation_json};
 use platebench_rig::CancelToken;
 use serde_json::Value;
 
@@ -28,7 +28,7 @@ fn statuses(report: &MutationReport) -> Vec<(u32, &'static str)> {
 fn kills_mutants_of_the_law_for_any_number_of_jobs() {
     let report = mutate(Some(60), None, 1);
     assert_eq!(report.results.len(), 60);
-    let killed = report.results.iter().filter(|result| matches!(result.status, Status::Killed { .. })).count();
+    let killed = report.results.iter().filter(|result| matches!(result.status, MutantStatus::Killed { .. })).count();
     assert!(killed >= 3, "{:?}", statuses(&report));
     assert_eq!(statuses(&mutate(Some(60), None, 3)), statuses(&report));
 }

@@ -2,7 +2,7 @@
 
 use crate::fixtures::configuration;
 use platebench_experiments::explore::Property;
-use platebench_experiments::explore::coverage::{ChangeKind, Coverage};
+use platebench_experiments::explore::coverage::{ChangeKind, ExplorationCoverage};
 use platebench_experiments::explore::guidance::derive;
 use platebench_experiments::explore::scene::Tuning;
 use platebench_experiments::explore::scene::{Course, PlateChoice, Scene, SceneTrial};
@@ -106,7 +106,7 @@ fn sines_stay_below_the_largest_rate(#[case] highest: f64) {
 #[test]
 fn a_hundred_scenes_cover_every_kind_of_change_and_history() {
     let config = configuration(LawId::DqPi, 1);
-    let mut coverage = Coverage::default();
+    let mut coverage = ExplorationCoverage::default();
     for index in 0..100 {
         coverage.add(&config.generator().scene(index).item, &config.envelope);
     }

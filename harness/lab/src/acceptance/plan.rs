@@ -136,7 +136,7 @@ impl Default for BenchDemands {
 }
 
 #[derive(Debug, Clone)]
-pub struct PlannedScenario {
+pub struct RepeatedScenario {
     pub scenario: Scenario,
     pub repetitions: u32,
 }
@@ -146,7 +146,7 @@ pub struct AcceptancePlan {
     pub bytes: Vec<u8>,
     pub title: String,
     pub requirements: Vec<Requirement>,
-    pub scenarios: Vec<PlannedScenario>,
+    pub scenarios: Vec<RepeatedScenario>,
     pub asks: Vec<Ask>,
     pub bench: BenchDemands,
     pub decision: Option<PlanDecision>,
@@ -156,7 +156,7 @@ impl AcceptancePlan {
     pub fn load(path: &Path) -> Result<Self, Vec<Diagnostic>> {
         let (mut checker, raw) = FileChecker::read::<RawPlan>(path)?;
         raw.check(&mut checker);
-        let mut scenarios: Vec<PlannedScenario> = Vec::new();
+        let mut scenarios: Vec<RepeatedScenario> = Vec::new();
         for (number, planned) in raw.scenario.iter().enumerate() {
             let key = format!("scenario.{number}.file");
             let file = checker.neighbour(&planned.file);
@@ -170,7 +170,7 @@ impl AcceptancePlan {
                     checker.report(&key, format!("`{}` is in the plan twice", scenario.file));
                 }
                 checker.extend(unknown_requirements(&scenario, &raw.requirement));
-                scenarios.push(PlannedScenario { scenario, repetitions });
+                scenarios.push(RepeatedScenario { scenario, repetitions });
             }
         }
         let mut decision = None;
@@ -208,11 +208,11 @@ pub(crate) fn read_recorded_plan(
 
 /// Reports scenarios that the decision rule cannot judge. Except with rule `simple`, each
 /// expectation of a requirement needs a budget and must not be `about`.
-fn check_decidable(checker: &mut FileChecker, decision: &PlanDecision, scenarios: &[PlannedScenario]) {
+fn check_decidable(checker: &mut FileChecker, decision: &PlanDecision, scenarios: &[RepeatedScenario]) {
     if decision.rule == DecisionRule::Simple {
         return;
     }
-    for PlannedScenario { scenario, .. } in scenarios {
+    for RepeatedScenario { scenario, .. } in scenarios {
         for (number, expectation) in scenario.expectations.iter().enumerate() {
             if expectation.requirement.is_none() {
                 continue;

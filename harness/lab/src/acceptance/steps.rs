@@ -1,7 +1,7 @@
 //! Describes a session (plan, rig, record folder, operator, observer) and runs its steps:
 //! questions, self-test of the bench, trust of the scenarios, scenarios.
 
-use crate::acceptance::plan::{AcceptancePlan, AnswerKind, Ask, PlannedScenario, QuestionTime};
+use crate::acceptance::plan::{AcceptancePlan, AnswerKind, Ask, QuestionTime, RepeatedScenario};
 use crate::acceptance::seal::SecretKey;
 use crate::acceptance::session_record::{
     AcceptError, AnswerRecord, SelfTestRecord, SessionDetails, StepKind, StepRecord, TrustRecord, write_file,
@@ -52,7 +52,7 @@ pub(crate) enum StepAction<'a> {
     Ask(&'a Ask),
     SelfTest,
     Trust,
-    Scenario(&'a PlannedScenario),
+    Scenario(&'a RepeatedScenario),
 }
 
 pub(crate) fn step_actions(plan: &AcceptancePlan) -> Vec<StepAction<'_>> {

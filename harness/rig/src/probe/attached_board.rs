@@ -2,7 +2,7 @@
 
 use super::board::{Board, ChipId, FlashOutcome, ProbeSpec, RttChannels};
 use super::error::ProbeError;
-use super::image::Image;
+use super::image::FlashImage;
 use crate::crash_report::CrashReport;
 use probe_rs::probe::list::Lister;
 use std::cell::Cell;
@@ -53,25 +53,25 @@ impl AttachedBoard {
 
     /// Writes the image to flash and verifies it. Does nothing if the flash already contains it. A
     /// write resets and halts the processor, whose outputs float until [`AttachedBoard::restart`].
-    pub fn flash(&mut self, image: &Arc<Image>) -> Result<FlashOutcome, ProbeError> {
+    pub fn flash(&mut self, image: &Arc<FlashImage>) -> Result<FlashOutcome, ProbeError> {
         let image = Arc::clone(image);
         let outcome = self.call("flashing", self.timeouts.flash, move |board| board.flash(&image))?;
         info!(chip = self.chip.name, ?outcome, "firmware flashed");
         Ok(outcome)
     }
 
-    pub fn restart(&mut self, image: &Image) -> Result<(), ProbeError> {
+    pub fn restart(&mut self, image: &FlashImage) -> Result<(), ProbeError> {
         let (rtt, timeout) = (image.rtt(), self.timeouts.reset);
         self.call("resetting the chip", timeout, move |board| board.restart(rtt, timeout))
     }
 
     /// Returns the crash if the processor is in a fault handler. The processor then stays halted.
-    pub fn read_crash(&mut self, image: &Arc<Image>) -> Result<Option<CrashReport>, ProbeError> {
+    pub fn read_crash(&mut self, image: &Arc<FlashImage>) -> Result<Option<CrashReport>, ProbeError> {
         let image = Arc::clone(image);
         self.call("reading a crash", self.timeouts.crash, move |board| board.read_crash(&image))
     }
 
-    pub(super) fn trap_error(&mut self, image: &Arc<Image>) -> Option<ProbeError> {
+    pub(super) fn trap_error(&mut self, image: &Arc<FlashImage>) -> Option<ProbeError> {
         match self.read_crash(image) {
             Ok(crash) => crash.map(|crash| ProbeError::Trapped(Box::new(crash))),
             Err(error) => {

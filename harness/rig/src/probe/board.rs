@@ -1,7 +1,7 @@
 //! Flashes, restarts and reads a board through probe-rs, on the probe's thread.
 
 use super::error::{ProbeError, error_chain};
-use super::image::{Image, read_crash};
+use super::image::{FlashImage, read_crash};
 use crate::crash_report::CrashReport;
 use probe_rs::config::{MemoryRegion, Registry};
 use probe_rs::flashing::DownloadOptions;
@@ -97,7 +97,7 @@ impl Board {
         self.session.core(0).map_err(ProbeError::line_error("reaching the processor"))
     }
 
-    pub(super) fn flash(&mut self, image: &Image) -> Result<FlashOutcome, ProbeError> {
+    pub(super) fn flash(&mut self, image: &FlashImage) -> Result<FlashOutcome, ProbeError> {
         self.check_flash_range(image)?;
         if self.first_difference(image)?.is_none() {
             return Ok(FlashOutcome::Unchanged);
@@ -114,7 +114,7 @@ impl Board {
         }
     }
 
-    fn check_flash_range(&self, image: &Image) -> Result<(), ProbeError> {
+    fn check_flash_range(&self, image: &FlashImage) -> Result<(), ProbeError> {
         let flash: Vec<_> = self.session.target().memory_map.iter().filter_map(MemoryRegion::as_nvm_region).collect();
         for segment in image.segments() {
             let start = u64::from(segment.address);
@@ -127,7 +127,7 @@ impl Board {
         Ok(())
     }
 
-    fn first_difference(&mut self, image: &Image) -> Result<Option<(u32, u8, u8)>, ProbeError> {
+    fn first_difference(&mut self, image: &FlashImage) -> Result<Option<(u32, u8, u8)>, ProbeError> {
         let mut core = self.core()?;
         for segment in image.segments() {
             let mut found = vec![0; segment.bytes.len()];
@@ -160,7 +160,7 @@ impl Board {
         Ok(())
     }
 
-    pub(super) fn read_crash(&mut self, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
+    pub(super) fn read_crash(&mut self, image: &FlashImage) -> Result<Option<CrashReport>, ProbeError> {
         read_crash(&mut self.core()?, image)
     }
 

@@ -12,20 +12,20 @@ use probe_rs::{Core, MemoryInterface, RegisterId};
 use std::time::Duration;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Segment {
+pub struct FlashSegment {
     /// Load address in flash. The firmware copies initialised data from there to RAM.
     pub address: u32,
     pub bytes: Vec<u8>,
 }
 
 #[derive(Debug, Clone)]
-pub struct Image {
+pub struct FlashImage {
     elf: Vec<u8>,
-    segments: Vec<Segment>,
+    segments: Vec<FlashSegment>,
     rtt_address: Option<u64>,
 }
 
-impl Image {
+impl FlashImage {
     pub fn parse(elf: &[u8]) -> Result<Self, ProbeError> {
         let refuse = |problem: &str| ProbeError::Image { problem: problem.to_owned() };
         let invalid = |error: object::Error| refuse(&error.to_string());
@@ -38,7 +38,7 @@ impl Image {
         for program in header.program_headers(endian, elf).map_err(invalid)? {
             let bytes = program.data(endian, elf).map_err(|()| refuse("a segment lies outside the file"))?;
             if program.p_type(endian) == PT_LOAD && !bytes.is_empty() {
-                segments.push(Segment { address: program.p_paddr(endian), bytes: bytes.to_vec() });
+                segments.push(FlashSegment { address: program.p_paddr(endian), bytes: bytes.to_vec() });
             }
         }
         if segments.is_empty() {
@@ -49,7 +49,7 @@ impl Image {
         Ok(Self { rtt_address: rtt.map(|symbol| symbol.address()), segments, elf: elf.to_vec() })
     }
 
-    pub fn segments(&self) -> &[Segment] {
+    pub fn segments(&self) -> &[FlashSegment] {
         &self.segments
     }
 
@@ -98,7 +98,7 @@ const STACK_WORDS: usize = 512;
 
 /// The processor runs while its fault handler takes the drive to 0 V. Then the bench halts it to read
 /// its core registers and stack. The chip's watchdog may reset the processor meanwhile.
-pub(super) fn read_crash(core: &mut Core<'_>, image: &Image) -> Result<Option<CrashReport>, ProbeError> {
+pub(super) fn read_crash(core: &mut Core<'_>, image: &FlashImage) -> Result<Option<CrashReport>, ProbeError> {
     let Some(exception) = active_handler(core)? else { return Ok(None) };
     let status = FaultStatus::read(|address| core.read_word_32(address))
         .map_err(ProbeError::line_error("reading the fault registers"))?;
@@ -148,7 +148,7 @@ fn read_registers(core: &mut Core<'_>) -> Result<[u32; 4], ProbeError> {
 
 struct ProbeStack<'a, 'core> {
     core: &'a mut Core<'core>,
-    image: &'a Image,
+    image: &'a FlashImage,
 }
 
 impl StackReader for ProbeStack<'_, '_> {

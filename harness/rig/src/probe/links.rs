@@ -4,7 +4,7 @@
 use super::attached_board::AttachedBoard;
 use super::board::RttChannels;
 use super::error::ProbeError;
-use super::image::Image;
+use super::image::FlashImage;
 use crate::cancel::CancelToken;
 use crate::handshake::handshake;
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
@@ -21,7 +21,7 @@ use tracing::{info, warn};
 pub struct PortLink {
     serial: SerialLink,
     board: AttachedBoard,
-    image: Arc<Image>,
+    image: Arc<FlashImage>,
     answers: PacketReader,
 }
 
@@ -31,7 +31,7 @@ impl PortLink {
         serial: SerialLink,
         path: &Path,
         board: AttachedBoard,
-        image: Arc<Image>,
+        image: Arc<FlashImage>,
     ) -> Result<Self, ProbeError> {
         let mut link = Self { serial, board, image, answers: PacketReader::new() };
         link.serial.expect_silence();
@@ -94,14 +94,14 @@ pub struct ShutdownResult {
 #[derive(Debug)]
 pub struct RttLink {
     board: AttachedBoard,
-    image: Arc<Image>,
+    image: Arc<FlashImage>,
     /// `None` during an exchange, and after a failed one.
     channels: Option<RttChannels>,
     is_shut_down: bool,
 }
 
 impl RttLink {
-    pub fn open(mut board: AttachedBoard, image: Arc<Image>) -> Result<Self, ProbeError> {
+    pub fn open(mut board: AttachedBoard, image: Arc<FlashImage>) -> Result<Self, ProbeError> {
         let address = image.rtt().ok_or(ProbeError::NoRtt)?;
         let channels = match board.rtt(address) {
             Ok(channels) => channels,

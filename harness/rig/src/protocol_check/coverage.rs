@@ -2,7 +2,7 @@
 //! answers of the hosted reference.
 
 use super::comparison::packets;
-use super::script::Variation;
+use super::script::ScriptVariation;
 use super::{message_script, script_base, silence_step};
 use crate::link::{Link, LinkError};
 use crate::rigs::hosted::HostedLink;
@@ -105,7 +105,7 @@ impl ProtocolCoverage {
         let base = script_base(base);
         let period = Duration::from_micros(base.period_us.into());
         let mut observer = Observer::new(self);
-        for exchange in message_script(messages, base).exchanges(Variation::NONE) {
+        for exchange in message_script(messages, base).exchanges(ScriptVariation::NONE) {
             observer.advance(exchange.wait.max(period))?;
             for byte in exchange.bytes {
                 observer.add_byte(byte)?;

@@ -100,7 +100,7 @@ pub(super) struct Exchange {
 
 /// Change of the values in a script's messages. It does not change the number of exchanges.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Variation {
+pub(super) struct ScriptVariation {
     /// Relative change of Wd and Wq, with signs that alternate over the samples.
     pub(super) components: f32,
     /// Factor on the plate gain K1 in configurations without controller gains.
@@ -109,7 +109,7 @@ pub(super) struct Variation {
     pub(super) design: f32,
 }
 
-impl Variation {
+impl ScriptVariation {
     pub(super) const NONE: Self = Self { components: 0.0, gain: 1.0, design: 1.0 };
 }
 
@@ -119,7 +119,7 @@ impl Script {
     }
 
     /// Makes the exchanges one after the other, because a long script does not fit in memory.
-    pub(super) fn exchanges(&self, variation: Variation) -> Encoder<'_> {
+    pub(super) fn exchanges(&self, variation: ScriptVariation) -> Encoder<'_> {
         Encoder {
             script: self,
             position: 0,
@@ -146,7 +146,7 @@ pub(super) struct Encoder<'a> {
     /// Number of the repetition by the next `again`.
     repetition: u32,
     ready: VecDeque<Exchange>,
-    variation: Variation,
+    variation: ScriptVariation,
     period_us: u32,
     sequence: u8,
     time_us: u32,
@@ -225,7 +225,7 @@ impl Encoder<'_> {
 
     fn configure(&mut self, configure: Configure) {
         (self.period_us, self.time_us) = (configure.period_us, 0);
-        let Variation { gain, design, .. } = self.variation;
+        let ScriptVariation { gain, design, .. } = self.variation;
         let varied = if configure.gains.is_none() {
             let gain_um_per_vpp = configure.gain_um_per_vpp * gain;
             Configure { gain_um_per_vpp, response_time_s: scaled_response_time(&configure, design), ..configure }

@@ -1,11 +1,11 @@
 use crate::attach;
 use crate::emulated_probe::SharedChip;
 use crate::image::{FLASH, ImageSpec};
-use platebench_rig::probe::{AttachedBoard, FlashOutcome, Image, ProbeError};
+use platebench_rig::probe::{AttachedBoard, FlashImage, FlashOutcome, ProbeError};
 use std::sync::Arc;
 
-fn image(spec: &ImageSpec) -> Arc<Image> {
-    Arc::new(Image::parse(&spec.elf()).unwrap())
+fn image(spec: &ImageSpec) -> Arc<FlashImage> {
+    Arc::new(FlashImage::parse(&spec.elf()).unwrap())
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn rejects_files_that_are_not_for_arm() {
     let riscv = ImageSpec { machine: 243, ..ImageSpec::default() }.elf();
     let cut = &ImageSpec::default().elf()[..200];
     for (elf, problem) in [(&riscv[..], "little-endian ARM"), (cut, "outside the file"), (b"no elf", "ELF")] {
-        let error = Image::parse(elf).unwrap_err().to_string();
+        let error = FlashImage::parse(elf).unwrap_err().to_string();
         assert!(error.contains("not a firmware image") && error.contains(problem), "{error}");
     }
 }

@@ -6,7 +6,7 @@ use crate::image::{CONTROL_STEP, ImageSpec, MAIN_LOOP, Program};
 use crate::rtt_exchange::CONFIGURE;
 use crate::{BUSY_MACHINE_LIMIT, attach, link, spec, timeouts};
 use platebench_rig::link::{Link, LinkError};
-use platebench_rig::probe::{Image, ProbeError, ProbeSetup};
+use platebench_rig::probe::{FlashImage, ProbeError, ProbeSetup};
 use platebench_rig::{BoxedLink, ConnectError, PtyLink, RigError, SerialError, Session, TargetError};
 use platebench_wire::{ControllerState, Message, Sample};
 use std::path::Path;
@@ -146,7 +146,7 @@ fn reports_a_hard_fault_with_callers() {
 fn reads_the_registers_of_a_fault() {
     let chip = SharedChip::new();
     let mut link = link(&chip, &trapping_image()).unwrap();
-    let image = Arc::new(Image::parse(&trapping_image().elf()).unwrap());
+    let image = Arc::new(FlashImage::parse(&trapping_image().elf()).unwrap());
     assert_eq!(link.board().read_crash(&image).unwrap(), None);
     // A trap is an error of the firmware, not a lost line.
     let error = link.exchange(Duration::ZERO, &[0], &mut Vec::new()).unwrap_err();

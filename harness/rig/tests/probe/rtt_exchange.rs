@@ -3,7 +3,7 @@ use crate::image::{ImageSpec, Program};
 use crate::rtt_buffers::RttBuffers;
 use crate::{BUSY_MACHINE_LIMIT, attach, link};
 use platebench_rig::link::{Link, LinkError};
-use platebench_rig::probe::{Image, ProbeError, RttLink};
+use platebench_rig::probe::{FlashImage, ProbeError, RttLink};
 use platebench_rig::{RigError, Session};
 use platebench_wire::{Configure, ControllerState, Sample};
 use std::sync::Arc;
@@ -44,7 +44,8 @@ fn rejects_firmware_without_rtt_before_the_flash() {
 #[test]
 fn ignores_an_old_rtt_control_block() {
     let chip = SharedChip::new();
-    let image = Arc::new(Image::parse(&ImageSpec { program: Program::Asleep, ..ImageSpec::default() }.elf()).unwrap());
+    let image =
+        Arc::new(FlashImage::parse(&ImageSpec { program: Program::Asleep, ..ImageSpec::default() }.elf()).unwrap());
     let mut board = attach(&chip).unwrap();
     board.flash(&image).unwrap();
     RttBuffers::start(&mut chip.lock());
