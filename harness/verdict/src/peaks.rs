@@ -380,16 +380,13 @@ impl Motion<'_> {
         let decay = if t == 0.0 { 1.0 } else { (pole.re * t).exp() };
         let [slow, fast] = [self.slow, self.fast].map(size);
         let reach = decay * (seconds * seconds * pole.norm_sqr() / 8.0 * slow + fast);
-        let (ends, lowest) = match signal {
-            BandSignal::Amplitude => {
-                let ends = [start, end].map(size);
-                // The distances of a point of the chord from both ends sum up to its length.
-                (ends, f64::midpoint(ends[0], ends[1]) - size(end - start) / 2.0)
-            }
-            _ => {
-                let ends = [start, end].map(|w| value_of(signal, w));
-                (ends, ends[0].min(ends[1]))
-            }
+        let (ends, lowest) = if signal == BandSignal::Amplitude {
+            let ends = [start, end].map(size);
+            // The distances of a point of the chord from both ends sum up to its length.
+            (ends, f64::midpoint(ends[0], ends[1]) - size(end - start) / 2.0)
+        } else {
+            let ends = [start, end].map(|w| value_of(signal, w));
+            (ends, ends[0].min(ends[1]))
         };
         [ends[0].max(ends[1]) + reach, reach - lowest]
     }

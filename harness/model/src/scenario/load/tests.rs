@@ -1,6 +1,7 @@
 mod between;
 mod bounds;
 mod files;
+mod properties;
 mod rejected;
 mod values;
 
