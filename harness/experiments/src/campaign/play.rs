@@ -171,7 +171,9 @@ pub fn play_trials(
         task,
         |executor, trials, emit| player.play(executor, trials, emit),
         &mut |played: Vec<TrialRow>| {
-            played.into_iter().for_each(|row| rows.insert(row.trial, row));
+            for row in played {
+                rows.insert(row.trial, row);
+            }
             while let Some(row) = rows.take_next() {
                 failed |= row.verdict == Verdict::Fail;
                 on_row(row)?;
@@ -208,11 +210,10 @@ impl TrialPlayer<'_> {
         let scenario = &self.campaign.template.scenario;
         let periods = scenario.duration.as_nanos() / scenario.controller.period.as_nanos().max(1);
         match self.source {
-            TrialSource::Rows(_) => 1,
             // They depend on each other.
             TrialSource::Numbers(_) if self.is_chain() => self.campaign.chain_trials(),
             TrialSource::Numbers(_) if rig.is_simulated() => (TASK_PERIODS / periods.max(1)).clamp(1, MAX_TASK_TRIALS),
-            TrialSource::Numbers(_) => 1,
+            TrialSource::Numbers(_) | TrialSource::Rows(_) => 1,
         }
     }
 
