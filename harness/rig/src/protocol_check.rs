@@ -39,6 +39,9 @@ const ROUNDING: f32 = 2e-6;
 const ATTEMPTS: u32 = 3;
 /// Time in which a script is repeated after stalls of the host. On a busy host many attempts stall.
 const STALL_REPEATS: Duration = Duration::from_secs(10);
+/// Further attempts of all scripts together after late answers, which a busy host may delay again. A
+/// controller that is always late costs seconds per attempt.
+const LATE_ATTEMPTS: u32 = 8;
 /// Longest wait for an answer after the time-out of the link. The host may have delayed a
 /// controller that is a program on it.
 const LATE_ANSWER: Duration = Duration::from_secs(1);
@@ -170,6 +173,7 @@ pub fn check_protocol(
     } else {
         vec![message_script(messages, base)]
     };
+    let mut late_attempts = LATE_ATTEMPTS;
     for script in scripts {
         if cancel.is_cancelled() {
             break;
@@ -184,9 +188,11 @@ pub fn check_protocol(
             let other_cause = found.as_ref().and_then(|(_, other_cause)| *other_cause);
             let is_stalled = other_cause == Some(BenchCause::Stall);
             let has_time = attempt < ATTEMPTS || (is_stalled && started.elapsed() < STALL_REPEATS);
-            if cancel.is_cancelled() || !may_repeat(other_cause) || !has_time {
+            let is_late = other_cause == Some(BenchCause::LateAnswer) && late_attempts > 0;
+            if cancel.is_cancelled() || !may_repeat(other_cause) || !(has_time || is_late) {
                 break;
             }
+            late_attempts -= u32::from(!has_time);
             check.repeats += 1;
             found = player.play(&script)?;
         }

@@ -37,6 +37,8 @@ const MIN_SEPARATION: f64 = 0.05;
 const SAME_RATIO: f64 = 0.1;
 /// Largest share of the changes' squares that a PI law leaves unexplained.
 const UNEXPLAINED: f64 = 0.01;
+/// Largest relative difference of two gain ratios that count as equal.
+const SAME_GAIN: f64 = 0.1;
 /// Gains are far from the design if one is larger or smaller by this factor.
 const GAIN_FACTOR: f64 = 1.5;
 
@@ -169,7 +171,10 @@ fn overshoots_after_limit(driven: &[&Row], limit: f64) -> bool {
 fn far_gains(scenario: &Scenario, rows: &[Row]) -> Option<LoopSymptom> {
     let [kp, ki] = fit_gains(scenario, rows)?;
     let is_far = [kp, ki].iter().any(|ratio| !(1.0 / GAIN_FACTOR..=GAIN_FACTOR).contains(ratio));
-    is_far.then_some(LoopSymptom::FarGains { kp, ki })
+    // An own law may have another design. One wrong figure changes one gain, or both by one factor.
+    let is_same = |one: f64, other: f64| (one / other - 1.0).abs() <= SAME_GAIN;
+    let is_one_figure = is_same(kp, ki) || is_same(kp, 1.0) || is_same(ki, 1.0);
+    (is_far && (is_one_figure || !scenario.has_own_law())).then_some(LoopSymptom::FarGains { kp, ki })
 }
 
 /// Fits `u − u′ = Kp (e − e′) + Ki T e′ + c`, with the values e′ and u′ of the step before, to the

@@ -306,7 +306,8 @@ pub fn document(report: &ExploreReport) -> Document {
     let ExploreReport { verdict, scenes, law, envelope, rig, firmware, seed, elapsed_s, .. } = report;
     let mut failures = Vec::new();
     if report.undecided > 0 {
-        failures.push(format!("{} scenes undecided:", report.undecided));
+        let scenes = if report.undecided == 1 { "scene" } else { "scenes" };
+        failures.push(format!("{} {scenes} undecided:", report.undecided));
         let undecided = report.undecided_scenes.iter();
         failures.extend(undecided.map(|UndecidedScene { scene, cause }| format!("  scene {scene}: {cause}")));
     }

@@ -105,6 +105,10 @@ pub fn shrink_sequence(
     let none = (failed.messages.clone(), None, 0);
     let Some(limits) = &config.sequences else { return Ok(none) };
     let mut fails = |messages: &Vec<ScenarioMessage>| {
+        // Without messages, the scenario would play the scripts of the protocol check.
+        if messages.is_empty() {
+            return Ok(None);
+        }
         // A candidate may be invalid, for example if the messages before an `again` are gone.
         let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
         player.renew();

@@ -3,7 +3,7 @@ use crate::scripted_link::{ScriptedLink, commands, packets};
 use crate::session::Session;
 use platebench_model::scenario::ConfigurationChange;
 use platebench_test_kit::CONFIGURE;
-use platebench_wire::{Command, ControllerState, Gains, LawId, Message, Packet, StateCause};
+use platebench_wire::{Command, ControllerState, Gains, LawId, Message, Packet, Rejection, StateCause};
 use rstest::rstest;
 use std::f64::consts::TAU;
 use std::sync::LazyLock;
@@ -334,6 +334,49 @@ fn a_law_of_its_own_has_its_own_figures() {
     assert_eq!(found, [""; 0]);
 }
 
+/// A configuration with a gain that is not finite, its sample, and a usable configuration with one.
+#[rstest]
+#[case::own_law_rejects(LawId::OpenLoop, true, true, 0)]
+#[case::own_law_accepts(LawId::DqPi, true, false, 0)]
+#[case::law_without_this_gain_rejects(LawId::OpenLoop, false, true, 0)]
+#[case::law_with_this_gain_accepts(LawId::DqPi, false, false, 1)]
+fn a_law_may_ignore_a_gain_that_is_not_finite(
+    #[case] law: LawId,
+    #[case] own_law: bool,
+    #[case] rejects: bool,
+    #[case] differences: usize,
+) {
+    let configure = |gains: &str| {
+        let text = format!("kind = 'configure'\nlaw = {}\n{gains}", law as u8);
+        toml::from_str::<ScenarioMessage>(&text).unwrap()
+    };
+    let sample = ScenarioMessage::sample(2.0, 1.2, -0.2);
+    let messages = [configure("gains = ['nan', 1.0, 1.0, 1.0]"), sample.clone(), configure(""), sample];
+    let mut configurations = 0;
+    let change = |_, packets: &mut Vec<Packet>| {
+        for packet in packets.iter_mut() {
+            configurations += usize::from(matches!(packet.message, Message::Configured(_)));
+            if configurations != 1 {
+                continue;
+            }
+            match &mut packet.message {
+                Message::Configured(configured) if rejects => configured.outcome = Err(Rejection::Value),
+                Message::Configured(configured) => configured.outcome = Ok(NO_GAINS),
+                Message::Command(command) if rejects => {
+                    (command.state, command.drive_vpp, command.flags) = (ControllerState::Idle, 0.0, 0);
+                }
+                Message::Command(command) => (command.state, command.drive_vpp) = (ControllerState::Running, 1.0),
+                _ => {}
+            }
+        }
+    };
+    let options = CheckOptions { messages: &messages, own_law, ..scripts() };
+    let found = texts(&check(LinkKind::Simulated, options, change));
+    assert_eq!(found.len(), differences, "{found:?}");
+}
+
+const NO_GAINS: Gains = Gains { amplitude_kp: 0.0, amplitude_ki: 0.0, frequency_kp: 0.0, frequency_ki: 0.0 };
+
 #[test]
 fn a_state_that_a_configuration_keeps_differs() {
     let mut configurations = 0;
@@ -501,7 +544,8 @@ impl Link for LateLink {
 #[rstest]
 #[case::late_once(1, false, 1, "")]
 #[case::late_twice(2, false, 2, "")]
-#[case::always_late(3, false, 2, "exchange 2: no answer, expected command")]
+#[case::late_more_often(10, false, 10, "")]
+#[case::always_late(11, false, 10, "exchange 2: no answer, expected command")]
 #[case::lost(1, true, 0, "exchange 2: no answer, expected command")]
 fn a_late_answer_of_a_program_repeats_the_script(
     #[case] delayed: usize,

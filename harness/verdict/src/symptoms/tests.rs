@@ -178,6 +178,18 @@ fn finds_the_gains_of_a_pi_law(#[case] expected_kp: f64, #[case] expected_ki: f6
     assert!((kp - expected_kp).abs() < 1e-6 && (ki - expected_ki).abs() < 1e-6, "{kp} {ki}");
 }
 
+#[rstest]
+#[case::both(2.0, 1.85, true)]
+#[case::kp_only(2.0, 1.05, true)]
+#[case::ki_only(0.95, 0.5, true)]
+#[case::another_design(1.42, 1.77, false)]
+fn one_wrong_figure_of_an_own_law_changes_one_gain_or_both(#[case] kp: f64, #[case] ki: f64, #[case] is_found: bool) {
+    let mut own = scenario();
+    own.set_law("own");
+    let found = detect_symptom(&own, &pi_law(kp, ki), &Telemetry::default());
+    assert_eq!(matches!(found, Some(LoopSymptom::FarGains { .. })), is_found, "{found:?}");
+}
+
 #[test]
 fn finds_the_gains_of_a_loop_with_one_pole() {
     let Some(LoopSymptom::FarGains { kp, ki }) = detect(&one_pole(1.6, 1.05)) else { panic!("no gains found") };
