@@ -47,7 +47,7 @@ pub fn replay(
     }
     let law = law_number(scenario, law, session.identity());
     let firmware = session.firmware_name();
-    let mut player = Player {
+    let mut player = RecordingPlayer {
         session,
         controller: ControllerLog::new(scenario, law),
         scenario,
@@ -68,7 +68,7 @@ pub fn replay(
     Ok(ReplayResult::new(&input.recording, replay))
 }
 
-struct Player<'a> {
+struct RecordingPlayer<'a> {
     session: RigSession,
     controller: ControllerLog<'a>,
     scenario: &'a Scenario,
@@ -76,7 +76,7 @@ struct Player<'a> {
     last: Time,
 }
 
-impl Player<'_> {
+impl RecordingPlayer<'_> {
     /// If the replay is cancelled, the drop of the session requests 0 V.
     fn play(
         &mut self,

@@ -33,6 +33,6 @@ pub use exploration::{Exploration, ExplorationBudget, ExploreConfig, explore};
 pub use generator::Generator;
 pub use limits::{ExploredLaw, LawProperties, OwnLaw};
 pub use own_law::measure_own_law;
-pub use player::{ExploreError, Player};
+pub use player::{ExploreError, ScenePlayer};
 pub use properties::Property;
 pub use report::ExploreReport;

@@ -150,7 +150,7 @@ pub fn check_protocol(
         false if compares_numbers || messages.is_empty() => ComparisonScope::Numbers,
         false => ComparisonScope::Rules,
     };
-    let mut player = Player {
+    let mut player = ScriptPlayer {
         link,
         identity,
         period,
@@ -226,7 +226,7 @@ fn message_script(messages: &[ScenarioMessage], base: Configure) -> Script {
     Script { ends_silences: true, ..Script::new("messages of the scenario", base, messages.to_vec()) }
 }
 
-struct Player<'a> {
+struct ScriptPlayer<'a> {
     link: &'a mut dyn Link,
     identity: &'a Identity,
     /// Shortest simulated time from one exchange to the next.
@@ -239,7 +239,7 @@ struct Player<'a> {
     lost_answers: u32,
 }
 
-impl Player<'_> {
+impl ScriptPlayer<'_> {
     /// Reads the line after the link's time-out. True if a message arrives, so that it was late.
     fn await_late_answer(&mut self) -> Result<bool, LinkError> {
         if !self.own_clock || self.lost_answers == MAX_LOST_ANSWERS {

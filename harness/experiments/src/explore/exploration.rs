@@ -7,7 +7,7 @@ use crate::explore::generator::Generator;
 use crate::explore::guidance::{Corpus, Feature, GuidanceTally, ItemKind, ROUND, RecordingLink};
 use crate::explore::limits::ExploredLaw;
 use crate::explore::player::ExploreError;
-use crate::explore::player::{Player, SceneFailure, SceneResult, violated};
+use crate::explore::player::{SceneFailure, ScenePlayer, SceneResult, violated};
 use crate::explore::properties::{Demand, Property, demands, reference_demands, relation_demand};
 use crate::explore::scenario_file::{ScenarioBuilder, SceneScenario, sequence_scenario};
 use crate::explore::scene::Scene;
@@ -390,7 +390,7 @@ fn play_regressions<L: RecordingLink>(
     ends: &SafeEnds,
     exploration: &mut Exploration,
 ) -> Result<(), ExploreError> {
-    let mut player = Player::new(connect, config.own_clock, cancel, ends);
+    let mut player = ScenePlayer::new(connect, config.own_clock, cancel, ends);
     for Regression { scenario, not_applicable } in &config.regressions {
         let unjudged = |reason, is_undecided| UnjudgedRegression { file: scenario.file.clone(), reason, is_undecided };
         if let Some(reason) = not_applicable {
@@ -453,7 +453,7 @@ struct PlayedScene {
 
 struct SceneWorker<'a, L: RecordingLink> {
     config: &'a ExploreConfig,
-    player: Player<'a, L>,
+    player: ScenePlayer<'a, L>,
     history: Vec<Vec<Choice>>,
 }
 
@@ -464,7 +464,7 @@ impl<'a, L: RecordingLink> SceneWorker<'a, L> {
         cancel: &CancelToken,
         ends: &'a SafeEnds,
     ) -> Self {
-        let player = Player::new(connect, config.own_clock, cancel, ends);
+        let player = ScenePlayer::new(connect, config.own_clock, cancel, ends);
         Self { config, player, history: Vec::new() }
     }
 

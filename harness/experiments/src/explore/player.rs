@@ -62,14 +62,14 @@ pub(crate) fn violated(failures: &[SceneFailure]) -> Vec<Property> {
 /// Controllers play 20 and 200 scenes in turn, so scenes meet both new and old controllers.
 const SCENES_PER_CONTROLLER: [u32; 2] = [20, 200];
 
-pub struct Player<'a, L: RecordingLink = BoxedLink> {
+pub struct ScenePlayer<'a, L: RecordingLink = BoxedLink> {
     executor: Executor<'a, L>,
     /// Scenes that this controller has played.
     scenes: u32,
     controllers: usize,
 }
 
-impl<'a, L: RecordingLink> Player<'a, L> {
+impl<'a, L: RecordingLink> ScenePlayer<'a, L> {
     pub fn new(connect: &'a LinkFactory<'a, L>, own_clock: bool, cancel: &CancelToken, ends: &'a SafeEnds) -> Self {
         let settings = ExecutorSettings {
             own_clock,

@@ -7,7 +7,7 @@ use crate::explore::exploration::explore_and_record;
 use crate::explore::exploration::{ExplorationBudget, ExploreConfig, FailedScene, FailedSequence, Regression, explore};
 use crate::explore::limits::{ExploredLaw, LawProperties, OwnLaw};
 use crate::explore::own_law::measure_own_law;
-use crate::explore::player::{ExploreError, Player};
+use crate::explore::player::{ExploreError, ScenePlayer};
 use crate::explore::properties::Property;
 use crate::explore::report;
 use crate::explore::report::{ExploreReport, ViolationReport, violated_properties};
@@ -231,7 +231,7 @@ impl ExploreSession {
     ) -> (Option<ViolationReport>, Option<ExploreError>) {
         let FailedSequence { messages: original, properties, .. } = failed;
         let property = properties.first().copied().unwrap_or(Property::Answers);
-        let mut player = Player::new(connect, config.own_clock, cancel, ends);
+        let mut player = ScenePlayer::new(connect, config.own_clock, cancel, ends);
         let shrunk = time.map(|time| shrink_sequence(config, &mut player, failed, property, time));
         let ((minimal, difference, replays), error) = or_original(shrunk, || (original.clone(), None, 0));
         let stored = self.write_sequence(config, failed, property, &minimal, difference);
@@ -290,7 +290,7 @@ impl ExploreSession {
         property: Property,
         time: Option<Duration>,
     ) -> (Option<ViolationReport>, Option<ExploreError>) {
-        let mut player = Player::new(connect, config.own_clock, cancel, ends);
+        let mut player = ScenePlayer::new(connect, config.own_clock, cancel, ends);
         let shrunk = time.map(|time| shrink_scene(config, &mut player, failed, property, time));
         let (minimal, error) = or_original(shrunk, || MinimalScene::original(config, failed, property));
         let stored = self.write_scene(config, failed, property, &minimal);
@@ -345,7 +345,7 @@ fn reproduce(
     stored: Result<ViolationReport, ExploreError>,
     error: Option<ExploreError>,
     is_playable: bool,
-    player: &mut Player<'_>,
+    player: &mut ScenePlayer<'_>,
 ) -> (Option<ViolationReport>, Option<ExploreError>) {
     let mut violation = match stored {
         Ok(violation) => violation,

@@ -3,7 +3,7 @@
 
 use crate::explore::choices::{Choice, Drawn, Part, change_each, flat, parts};
 use crate::explore::exploration::{ExploreConfig, FailedScene, FailedSequence};
-use crate::explore::player::{ExploreError, Player, SceneFailure};
+use crate::explore::player::{ExploreError, SceneFailure, ScenePlayer};
 use crate::explore::properties::{Demand, Property};
 use crate::explore::scene::{Relation, Scene};
 use platebench_model::scenario::ScenarioMessage;
@@ -42,7 +42,7 @@ impl MinimalScene {
 /// with a new controller.
 pub fn shrink_scene(
     config: &ExploreConfig,
-    player: &mut Player<'_>,
+    player: &mut ScenePlayer<'_>,
     failed: &FailedScene,
     property: Property,
     time: Duration,
@@ -97,7 +97,7 @@ pub type MinimalSequence = (Vec<ScenarioMessage>, Option<String>, u32);
 /// As [`shrink_scene`], for a sequence of messages.
 pub fn shrink_sequence(
     config: &ExploreConfig,
-    player: &mut Player<'_>,
+    player: &mut ScenePlayer<'_>,
     failed: &FailedSequence,
     property: Property,
     time: Duration,

@@ -6,7 +6,7 @@ use platebench_experiments::explore::kill_rate::{KillRateConfig, kill_rate};
 use platebench_experiments::explore::report::violated_properties;
 use platebench_experiments::explore::session::ExploreSession;
 use platebench_experiments::explore::shrink::shrink_scene;
-use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, ExploreError, Player, Property, explore};
+use platebench_experiments::explore::{ExplorationBudget, ExploreConfig, ExploreError, Property, ScenePlayer, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, clean_variants};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
@@ -87,7 +87,7 @@ fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #
     for (property, failed) in found {
         assert!(matches!(property, Property::Reference | Property::Answers));
         let ends = SafeEnds::default();
-        let mut player = Player::new(&low_drive, false, &cancel, &ends);
+        let mut player = ScenePlayer::new(&low_drive, false, &cancel, &ends);
         let minimal = shrink_scene(&config, &mut player, failed, property, SHRINK_TIME).unwrap();
         assert_eq!((minimal.is_reproduced, minimal.demands.len()), (true, 1));
         assert!(minimal.failure.value > Some(0.1), "{:?}", minimal.failure);
@@ -102,7 +102,7 @@ fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
     let (_, failed) =
         violated_properties(&result).into_iter().find(|(property, _)| *property == Property::StaticError).unwrap();
     let ends = SafeEnds::default();
-    let mut player = Player::new(&mutant, false, &cancel, &ends);
+    let mut player = ScenePlayer::new(&mutant, false, &cancel, &ends);
     let minimal = shrink_scene(&config, &mut player, failed, Property::StaticError, SHRINK_TIME).unwrap();
     assert!(minimal.is_reproduced);
     assert!(minimal.scene.earlier.is_empty(), "{:?}", minimal.scene);

@@ -3,7 +3,7 @@
 use crate::fixtures::configuration;
 use platebench_engine::SafeEnds;
 use platebench_experiments::explore::sequence::SequenceLimits;
-use platebench_experiments::explore::{ExploreConfig, LawProperties, Player};
+use platebench_experiments::explore::{ExploreConfig, LawProperties, ScenePlayer};
 use platebench_experiments::trust::{Mutant, MutantController, clean_variants};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink, Link, Session};
 use platebench_test_kit::ScriptedLink;
@@ -92,7 +92,7 @@ fn false_alarms(seeds: std::ops::Range<u64>, counts: Counts) -> (Vec<String>, u6
         let limits = SequenceLimits::new(&identity, false, true, u64::MAX);
         let laws: Vec<_> = LawProperties::explored_laws().filter(|law| identity.has_law(*law)).collect();
         let connect = || Ok::<_, ConnectError>(link());
-        let mut player = Player::new(&connect, false, &cancel, &ends);
+        let mut player = ScenePlayer::new(&connect, false, &cancel, &ends);
         for seed in seeds.clone() {
             let compares_reference = has_reference && seed % 2 == 0;
             let config = ExploreConfig { seed, compares_reference, laws: laws.clone(), ..configuration(law, 1) };

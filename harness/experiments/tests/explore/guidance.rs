@@ -6,7 +6,7 @@ use platebench_engine::SafeEnds;
 use platebench_experiments::explore::exploration::{Exploration, explore_and_record};
 use platebench_experiments::explore::guidance::derive;
 use platebench_experiments::explore::sequence::SequenceLimits;
-use platebench_experiments::explore::{ExploreConfig, Player, explore};
+use platebench_experiments::explore::{ExploreConfig, ScenePlayer, explore};
 use platebench_experiments::firmware_analysis::suite::read_code;
 use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::scenario::{ScenarioMessage, load};
@@ -70,7 +70,7 @@ fn a_derived_sequence_is_valid_and_passes_a_correct_controller() {
     let limits = config.sequences.clone().unwrap();
     let connect = || Ok::<_, ConnectError>(Box::new(HostedLink::new()) as BoxedLink);
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-    let mut player = Player::new(&connect, false, &cancel, &ends);
+    let mut player = ScenePlayer::new(&connect, false, &cancel, &ends);
     let config = ExploreConfig { compares_reference: true, ..config };
     let mut count = 0;
     for index in 0..40 {

@@ -7,7 +7,7 @@ use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::report::violated_properties;
 use platebench_experiments::explore::scenario_file::ScenarioBuilder;
 use platebench_experiments::explore::shrink::shrink_scene;
-use platebench_experiments::explore::{ExploreConfig, Player, Property, explore};
+use platebench_experiments::explore::{ExploreConfig, Property, ScenePlayer, explore};
 use platebench_experiments::trust::{Mutant, MutantController};
 use platebench_model::scenario::load;
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
@@ -65,7 +65,7 @@ fn a_relation_finds_a_fault(#[case] fault: Fault, #[case] property: Property) {
     let (_, failed) = found.into_iter().find(|(found, _)| *found == property).unwrap();
     let connect = || controller(fault);
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-    let mut player = Player::new(&connect, false, &cancel, &ends);
+    let mut player = ScenePlayer::new(&connect, false, &cancel, &ends);
     let minimal = shrink_scene(&config, &mut player, failed, property, Duration::from_hours(1)).unwrap();
     assert!(minimal.is_reproduced && minimal.demands.len() == 1, "{minimal:?}");
     let folder = tempfile::tempdir().unwrap();

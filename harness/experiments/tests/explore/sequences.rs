@@ -7,7 +7,7 @@ use platebench_experiments::explore::choices::Drawn;
 use platebench_experiments::explore::exploration::Exploration;
 use platebench_experiments::explore::sequence::SequenceLimits;
 use platebench_experiments::explore::shrink::shrink_sequence;
-use platebench_experiments::explore::{ExploreConfig, Player, explore};
+use platebench_experiments::explore::{ExploreConfig, ScenePlayer, explore};
 use platebench_experiments::trust::{Mutant, MutantController, MutantSpec, protocol_faults};
 use platebench_model::scenario::{ScenarioMessage, load};
 use platebench_rig::{BoxedLink, CancelToken, ConnectError, HostedLink};
@@ -101,7 +101,7 @@ fn a_failing_sequence_shrinks_to_few_messages(#[case] mutant: fn() -> Box<dyn Mu
     let result = play(&config, &link);
     let connect = || Ok::<_, ConnectError>(link());
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
-    let mut player = Player::new(&connect, false, &cancel, &ends);
+    let mut player = ScenePlayer::new(&connect, false, &cancel, &ends);
     let failed = &result.failed_sequences[0];
     let time = Duration::from_hours(1);
     let (messages, difference, _) = shrink_sequence(&config, &mut player, failed, failed.properties[0], time).unwrap();
@@ -150,7 +150,7 @@ fn survivors(faults: &[MutantSpec], limits: &SequenceLimits, config: &ExploreCon
     let (cancel, ends) = (CancelToken::never(), SafeEnds::default());
     let survives = |fault: &&MutantSpec| {
         let connect = || Ok::<_, ConnectError>(fault.link());
-        let mut player = Player::new(&connect, false, &cancel, &ends);
+        let mut player = ScenePlayer::new(&connect, false, &cancel, &ends);
         (0..count).all(|index| {
             let messages = limits.sequence(config.seed, index).item;
             let scenario = config.sequence_scenario(&messages, "A sequence", "").check().unwrap();

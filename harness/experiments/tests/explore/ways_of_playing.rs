@@ -3,7 +3,7 @@
 
 use platebench_engine::{Clock, RunHooks, RunPlan, SafeEnds, run};
 use platebench_experiments::campaign::{Campaign, PlayConfig, TrialSource, play_trials};
-use platebench_experiments::explore::Player;
+use platebench_experiments::explore::ScenePlayer;
 use platebench_model::record::{Overrides, RunFolder};
 use platebench_model::scenario::Scenario;
 use platebench_rig::{BoxedLink, CancelToken, Link, RigSpec};
@@ -49,7 +49,7 @@ fn run_explore_and_trust_play_the_same_trials(#[case] file: &str) {
     });
     let by_explore = samples(|connect| {
         let (connect, ends) = (|| Ok(connect()), SafeEnds::default());
-        let mut player = Player::new(&connect, false, &CancelToken::never(), &ends);
+        let mut player = ScenePlayer::new(&connect, false, &CancelToken::never(), &ends);
         player.play(&scenario).unwrap().unwrap();
     });
     assert!(by_run.len() > 10 * scenario.trials.count as usize, "{} samples", by_run.len());
