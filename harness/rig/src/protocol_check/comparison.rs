@@ -58,6 +58,13 @@ pub(super) enum BenchCause {
     Stall,
 }
 
+/// Answer to a configuration.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Outcome {
+    Accepted,
+    Rejected,
+}
+
 pub(super) struct ReceivedPackets {
     answers: Vec<Packet>,
     ticks: Vec<Packet>,
@@ -161,8 +168,9 @@ pub(super) struct ScriptComparison<'a> {
     last_command: Option<Command>,
     configuration: Option<Configure>,
     has_other_design: bool,
-    /// True after a configuration that one of target and reference may accept and the other reject.
-    is_undefined: bool,
+    /// Outcome of the last configuration, if the target accepted what the reference rejected, or the
+    /// reverse, and may do so. Only the rules for every law are compared then.
+    own_outcome: Option<Outcome>,
     /// True if a variation changed a command too much, so that commands are not compared.
     is_ambiguous: bool,
     /// Last commands of target and reference in the state *running*.
@@ -182,7 +190,7 @@ impl<'a> ScriptComparison<'a> {
             last_command: None,
             configuration: None,
             has_other_design: false,
-            is_undefined: false,
+            own_outcome: None,
             is_ambiguous: false,
             running: None,
             previous: None,
@@ -197,7 +205,7 @@ impl<'a> ScriptComparison<'a> {
             match packet.message {
                 Message::Configure(configure) => {
                     self.configuration = Some(configure);
-                    (self.has_other_design, self.is_ambiguous, self.is_undefined) = (false, false, false);
+                    (self.has_other_design, self.is_ambiguous, self.own_outcome) = (false, false, None);
                     self.previous = None;
                     let is_linear = self.scope != ComparisonScope::OwnLaw && is_defined_law(configure.law);
                     self.inputs = LawInputs::configure(&configure, is_linear);
@@ -241,8 +249,9 @@ impl<'a> ScriptComparison<'a> {
                 self.is_ambiguous |=
                     other.answers.get(position).is_none_or(|other| self.is_far(expected, other, number));
             }
-            self.is_undefined |= self.may_differ(answer, expected);
-            if self.is_undefined && answer.sequence == expected.sequence {
+            self.own_outcome = self.own_outcome.or_else(|| self.permitted_outcome(answer, expected));
+            if let Some(outcome) = self.own_outcome.filter(|_| answer.sequence == expected.sequence) {
+                self.check_own_outcome(answer, outcome, history)?;
                 continue;
             }
             if !self.is_equal(answer, expected) {
@@ -274,17 +283,32 @@ impl<'a> ScriptComparison<'a> {
         }
     }
 
-    /// True for the answers to a gain that is not finite and that one of the laws may not use. Law and
-    /// reference may then have different states until the next configuration.
-    fn may_differ(&self, answer: &Packet, expected: &Packet) -> bool {
+    /// The target's answer to a gain that is not finite, if it differs from the reference and one of
+    /// both laws may not use this gain. Target and reference then have different states until the next
+    /// configuration.
+    fn permitted_outcome(&self, answer: &Packet, expected: &Packet) -> Option<Outcome> {
         let (Message::Configured(answer), Message::Configured(expected)) = (&answer.message, &expected.message) else {
-            return false;
+            return None;
         };
-        let gains = self.configuration.and_then(|configuration| configuration.gains);
-        let has_unusable = gains.is_some_and(|gains| !numbers(gains).into_iter().all(f32::is_finite));
-        let is_rejected = answer.outcome.is_err();
-        let may_ignore_gains = self.scope == ComparisonScope::OwnLaw;
-        has_unusable && is_rejected != expected.outcome.is_err() && (is_rejected || may_ignore_gains)
+        let is_unusable = !are_finite(self.configuration?.gains?);
+        let outcome = if answer.outcome.is_ok() { Outcome::Accepted } else { Outcome::Rejected };
+        let is_permitted = outcome == Outcome::Rejected || self.scope == ComparisonScope::OwnLaw;
+        (is_unusable && is_permitted && answer.outcome.is_ok() != expected.outcome.is_ok()).then_some(outcome)
+    }
+
+    fn check_own_outcome(
+        &mut self,
+        answer: &Packet,
+        outcome: Outcome,
+        history: &mut CommandHistory,
+    ) -> Result<(), CommandDifference> {
+        let Message::Command(command) = &answer.message else { return Ok(()) };
+        self.check_flags(command)?;
+        match (outcome, command.state) {
+            (Outcome::Accepted, ControllerState::Running) => self.check_rules(command, history),
+            (_, state) if state != ControllerState::Running && command.drive_vpp == 0.0 => Ok(()),
+            _ => differs(format!("{}, expected 0 Vpp and not running", show(answer))),
+        }
     }
 
     fn observe_design(&mut self, answer: &Packet, expected: &Packet) {
@@ -412,8 +436,7 @@ impl<'a> ScriptComparison<'a> {
         let Some(configuration) = self.configuration else { return true };
         let uses_four = self.scope != ComparisonScope::OwnLaw
             && matches!(configuration.law, LawId::DqPi | LawId::DqPiEuler | LawId::DqPiFixed);
-        let is_finite = numbers(answer).into_iter().all(f32::is_finite);
-        is_finite
+        are_finite(answer)
             && match configuration.gains {
                 Some(configured) => {
                     are_close(answer, configured, GAIN_TOLERANCE) || {
@@ -491,6 +514,10 @@ fn compare_clocks(
 
 fn numbers(gains: Gains) -> [f32; 4] {
     [gains.amplitude_kp, gains.amplitude_ki, gains.frequency_kp, gains.frequency_ki]
+}
+
+fn are_finite(gains: Gains) -> bool {
+    numbers(gains).into_iter().all(f32::is_finite)
 }
 
 fn are_close(one: Gains, other: Gains, tolerance: f32) -> bool {

@@ -336,14 +336,17 @@ fn a_law_of_its_own_has_its_own_figures() {
 
 /// A configuration with a gain that is not finite, its sample, and a usable configuration with one.
 #[rstest]
-#[case::own_law_rejects(LawId::OpenLoop, true, true, 0)]
-#[case::own_law_accepts(LawId::DqPi, true, false, 0)]
-#[case::law_without_this_gain_rejects(LawId::OpenLoop, false, true, 0)]
-#[case::law_with_this_gain_accepts(LawId::DqPi, false, false, 1)]
+#[case::own_law_rejects(LawId::OpenLoop, true, true, 0.0, 0)]
+#[case::own_law_rejects_and_drives(LawId::OpenLoop, true, true, 1.0, 1)]
+#[case::own_law_accepts(LawId::DqPi, true, false, 1.0, 0)]
+#[case::own_law_accepts_and_exceeds_the_limit(LawId::DqPi, true, false, 900.5, 1)]
+#[case::law_without_this_gain_rejects(LawId::OpenLoop, false, true, 0.0, 0)]
+#[case::law_with_this_gain_accepts(LawId::DqPi, false, false, 1.0, 1)]
 fn a_law_may_ignore_a_gain_that_is_not_finite(
     #[case] law: LawId,
     #[case] own_law: bool,
     #[case] rejects: bool,
+    #[case] drive_vpp: f32,
     #[case] differences: usize,
 ) {
     let configure = |gains: &str| {
@@ -363,9 +366,12 @@ fn a_law_may_ignore_a_gain_that_is_not_finite(
                 Message::Configured(configured) if rejects => configured.outcome = Err(Rejection::Value),
                 Message::Configured(configured) => configured.outcome = Ok(NO_GAINS),
                 Message::Command(command) if rejects => {
-                    (command.state, command.drive_vpp, command.flags) = (ControllerState::Idle, 0.0, 0);
+                    (command.state, command.drive_vpp, command.flags) = (ControllerState::Idle, drive_vpp, 0);
                 }
-                Message::Command(command) => (command.state, command.drive_vpp) = (ControllerState::Running, 1.0),
+                Message::Command(command) => {
+                    (command.state, command.drive_vpp) = (ControllerState::Running, drive_vpp);
+                    command.frequency_mhz = CONFIGURE.start_frequency_mhz;
+                }
                 _ => {}
             }
         }
