@@ -223,7 +223,10 @@ mod tests {
     }
 
     #[rstest]
-    #[case::reply_missing(|replay: &mut Replay, _: &mut RecordedCommands| replay.replies[1] = None, Verdict::Inconclusive)]
+    #[case::reply_missing(
+        |replay: &mut Replay, _: &mut RecordedCommands| replay.replies[1] = None,
+        Verdict::Inconclusive
+    )]
     #[case::rig_lost(|replay: &mut Replay, _: &mut RecordedCommands| replay.rig_lost = true, Verdict::Inconclusive)]
     #[case::crashed(
         |replay: &mut Replay, _: &mut RecordedCommands| replay.telemetry.ended = Some("trap".into()),
@@ -233,7 +236,10 @@ mod tests {
         |replay: &mut Replay, _: &mut RecordedCommands| replay.telemetry.stopped = Some("noise".into()),
         Verdict::Fail
     )]
-    #[case::no_0_v(|replay: &mut Replay, _: &mut RecordedCommands| replay.safe_confirmed = false, Verdict::Inconclusive)]
+    #[case::no_0_v(
+        |replay: &mut Replay, _: &mut RecordedCommands| replay.safe_confirmed = false,
+        Verdict::Inconclusive
+    )]
     #[case::nothing(|replay: &mut Replay, _: &mut RecordedCommands| replay.replies.clear(), Verdict::Inconclusive)]
     #[case::cut(
         |_: &mut Replay, recording: &mut RecordedCommands| recording.end = Some(RecordingEnd::Fault { at_s: 0.005 }),

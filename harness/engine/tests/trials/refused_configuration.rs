@@ -16,7 +16,10 @@ const REFUSED_US: u32 = 2_000;
 
 fn refusing_link() -> impl Link {
     ScriptedLink::new(|controller, now, bytes, answer| {
-        let is_refused = |packet: &Packet| matches!(packet.message, Message::Configure(configure) if configure.period_us == REFUSED_US);
+        let is_refused = |packet: &Packet| {
+            let Message::Configure(configure) = packet.message else { return false };
+            configure.period_us == REFUSED_US
+        };
         match packets(bytes).into_iter().find(is_refused) {
             Some(Packet { sequence, .. }) => {
                 let message = Message::Configured(Configured { outcome: Err(Rejection::Value) });

@@ -210,13 +210,13 @@ impl TrialPlayer<'_> {
         let scenario = &self.campaign.template.scenario;
         let periods = scenario.duration.as_nanos() / scenario.controller.period.as_nanos().max(1);
         match self.source {
-            // They depend on each other.
             TrialSource::Numbers(_) if self.is_chain() => self.campaign.chain_trials(),
             TrialSource::Numbers(_) if rig.is_simulated() => (TASK_PERIODS / periods.max(1)).clamp(1, MAX_TASK_TRIALS),
             TrialSource::Numbers(_) | TrialSource::Rows(_) => 1,
         }
     }
 
+    /// True if the trials of a task depend on each other.
     fn is_chain(&self) -> bool {
         matches!(self.source, TrialSource::Numbers(_)) && self.campaign.chain_trials() > 1
     }
@@ -225,14 +225,14 @@ impl TrialPlayer<'_> {
     fn play(
         &self,
         executor: &mut Executor<'_>,
-        trials: Range<u64>,
+        mut trials: Range<u64>,
         emit: &mut Emit<'_, Vec<TrialRow>>,
     ) -> Result<(), CampaignError> {
         if self.is_chain() {
             return self.play_chain(executor, &trials, emit);
         }
         let mut rows = Vec::new();
-        let outcome = trials.into_iter().try_for_each(|number| {
+        let outcome = trials.try_for_each(|number| {
             let trial = match self.source {
                 TrialSource::Numbers(_) => self.campaign.trial(number)?,
                 TrialSource::Rows(rows) => match rows.get(number as usize) {

@@ -20,8 +20,8 @@ pub(super) fn csv_point_error(file: &InputFile, index: usize, part: PointField, 
 }
 
 impl Checker<'_> {
-    /// Reads the file once, so that the run folder contains the bytes of the points. The columns are `t_ms` and `value`, in any order and between others;
-    /// lines that begin with `#` are comments.
+    /// Reads the file once, so that the run folder contains the bytes of the points. The columns are `t_ms`
+    /// and `value`, in any order and between others; lines that begin with `#` are comments.
     pub(super) fn csv_profile(&self, key: &str, path: &Path) -> Result<CsvProfile, Diagnostic> {
         #[derive(Deserialize)]
         struct Row {
