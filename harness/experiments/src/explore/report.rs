@@ -10,6 +10,7 @@ use crate::explore::guidance::GuidanceTally;
 use crate::explore::limits::{LawProperties, OwnLaw};
 use crate::explore::player::{ExploreError, violated};
 use crate::explore::properties::Property;
+use platebench_document::format::count;
 use platebench_document::{Block, Document, Figure, Table};
 use platebench_engine::SafeEnds;
 use platebench_model::printable::printable;
@@ -306,8 +307,7 @@ pub fn document(report: &ExploreReport) -> Document {
     let ExploreReport { verdict, scenes, law, envelope, rig, firmware, seed, elapsed_s, .. } = report;
     let mut failures = Vec::new();
     if report.undecided > 0 {
-        let scenes = if report.undecided == 1 { "scene" } else { "scenes" };
-        failures.push(format!("{} {scenes} undecided:", report.undecided));
+        failures.push(format!("{} undecided:", count(report.undecided as usize, "scene")));
         let undecided = report.undecided_scenes.iter();
         failures.extend(undecided.map(|UndecidedScene { scene, cause }| format!("  scene {scene}: {cause}")));
     }
