@@ -535,10 +535,8 @@ impl From<CampaignError> for Failure {
         match error {
             CampaignError::Files(problems) => problems.into(),
             CampaignError::Connect(error) => error.into(),
-            CampaignError::Rig(error) => error.into(),
             CampaignError::Run(error) => error.into(),
             CampaignError::NotSafe => Self::new(Exit::Unreachable, &error),
-            CampaignError::Cancelled => Self::new(Exit::Inconclusive, &error),
             error => Self::invalid(&error),
         }
     }

@@ -50,8 +50,6 @@ pub enum MarginError {
     NotApplicable(String),
     #[error("a trial does not count: {reason}")]
     Undecided { cause: Cause, reason: String },
-    #[error("the search for margins was cancelled")]
-    Cancelled,
 }
 
 pub struct MarginConfig<'a> {
@@ -118,7 +116,7 @@ pub fn measure_margins(
         true
     })?;
     if config.cancel.is_cancelled() || results.len() < tasks.len() {
-        return Err(MarginError::Cancelled);
+        return Err(RunError::Cancelled.into());
     }
     let parts = results.chunks((tasks.len() / cases.len().max(1)).max(1));
     let measured = cases.iter().zip(parts).map(|(case, parts)| case_margins(config, case, parts));
@@ -261,7 +259,7 @@ fn ends(tests: &[Test]) -> (Option<f64>, Option<f64>) {
 
 fn play(executor: &mut Executor<'_>, scene: &Scenario) -> Result<(TrialResult, TrialMeasures), MarginError> {
     let law = law(scene).map_err(|problem| MarginError::Files(vec![problem]))?;
-    let played = executor.play(scene, law, 0, None)?.ok_or(MarginError::Cancelled)?;
+    let played = executor.play(scene, law, 0, None)?.ok_or(RunError::Cancelled)?;
     let measures = measure(scene, 0, &played.trace_rows, &played.telemetry);
     match &measures.exclusion {
         Some(found) if matches!(found.cause(), Cause::Rig | Cause::Bench) => {

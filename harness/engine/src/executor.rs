@@ -287,7 +287,10 @@ impl<'a, L: Link> Executor<'a, L> {
         if cancel.is_cancelled() {
             return Ok(None);
         }
-        let session = self.session()?;
+        let session = match self.session() {
+            Err(RunError::Cancelled) => return Ok(None),
+            session => session?,
+        };
         let law = trial::law_number(scenario, law, session.identity());
         let trial =
             Trial { wire_time, own_clock, long_scripts, continues, cancel, tap, ..Trial::new(scenario, law, index) };

@@ -8,8 +8,8 @@ pub mod suite;
 
 use line_tables::check_line_tables;
 use platebench_document::{Block, Column, Document, Table};
-use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
+use platebench_engine::{RunError, SafeEnds};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_rig::{CancelToken, Symbols};
@@ -201,7 +201,7 @@ pub(crate) fn play_baselines(
     let work = |executor: &mut BoardExecutor<'_>, (number, (scenario, law)): &(usize, &(Scenario, LawId))| {
         executor.session()?.link_mut().inner_mut().record_execution(&map.leaders);
         let start = Instant::now();
-        let outcome = play(executor, scenario, *law)?.ok_or(FirmwareAnalysisError::Cancelled)?;
+        let outcome = play(executor, scenario, *law)?.ok_or(RunError::Cancelled)?;
         check_baseline(scenario, &outcome)?;
         let executed = executor.session()?.link_mut().inner_mut().executed_instructions().clone();
         let (commands, fails) = (outcome.commands, outcome.detection.is_some());

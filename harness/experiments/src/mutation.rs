@@ -11,8 +11,8 @@ use crate::firmware_analysis::suite::{
 use crate::firmware_analysis::{ReferencePlay, executed_by_all, play_baselines};
 use mutants::{CodeMutant, Disassembler, MutantFilter, MutationOperator, all_mutants};
 use platebench_document::{Block, Column, Document, Table};
-use platebench_engine::SafeEnds;
 use platebench_engine::workers::in_parallel;
+use platebench_engine::{RunError, SafeEnds};
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::read_text_file;
 use platebench_rig::CancelToken;
@@ -150,7 +150,7 @@ impl MutantRunner<'_> {
             let limit = (baseline.duration * TIMEOUT_FACTOR).max(MIN_TIMEOUT);
             let played = play_within(limit, &self.config.cancel, executor, scenario, *law);
             if self.config.cancel.is_cancelled() {
-                return Err(FirmwareAnalysisError::Cancelled);
+                return Err(RunError::Cancelled.into());
             }
             let by = scenario.file.clone();
             let Some(outcome) = played? else { return Ok(MutantStatus::Timeout { by }) };

@@ -202,7 +202,7 @@ impl From<MarginError> for Failure {
             }
             MarginError::NotApplicable(_) => Self::new(Exit::NothingToRun, &error),
             MarginError::Undecided { cause: Cause::Rig, .. } => Self::new(Exit::Unreachable, &error),
-            MarginError::Undecided { .. } | MarginError::Cancelled => Self::new(Exit::Inconclusive, &error),
+            MarginError::Undecided { .. } => Self::new(Exit::Inconclusive, &error),
         }
     }
 }

@@ -151,10 +151,9 @@ impl From<ExploreError> for Failure {
     fn from(error: ExploreError) -> Self {
         match error {
             ExploreError::Connect(error) => error.into(),
-            ExploreError::Rig(error) => error.into(),
             ExploreError::Run(error) => error.into(),
             ExploreError::LawNotAnnounced { .. } | ExploreError::File(_) => Self::invalid(&error),
-            ExploreError::Generated(_) | ExploreError::Cancelled => Self::new(Exit::Inconclusive, &error),
+            ExploreError::Generated(_) => Self::new(Exit::Inconclusive, &error),
         }
     }
 }

@@ -11,6 +11,7 @@ use crate::campaign::part::PartReader;
 use crate::campaign::plan::{CampaignPlan, firmware_digest};
 use crate::campaign::play::{PlayConfig, TrialEvent, replay};
 use crate::campaign::row::{Tally, TrialRow, keep_worst, margin_text};
+use platebench_engine::RunError;
 use platebench_model::record::Verdict;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -100,7 +101,7 @@ pub fn confirm(
     }
     let config = PlayConfig { rig: rig.clone(), ..config.clone() };
     let replays = replay(campaign, &selection.rows(), &config, on_trial)?;
-    let agreement = Agreement::new(&selection, &replays, campaign.confidence).ok_or(CampaignError::Cancelled)?;
+    let agreement = Agreement::new(&selection, &replays, campaign.confidence).ok_or(RunError::Cancelled)?;
     Ok(Some(Agreement { rig: rig.to_string(), firmware: firmware_digest(rig)?, ..agreement }))
 }
 

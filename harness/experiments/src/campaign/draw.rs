@@ -7,6 +7,7 @@ use crate::campaign::distribution::{Correlation, Distribution, Variable};
 use crate::campaign::error::CampaignError;
 use crate::campaign::rare::{self, ChainEstimate};
 use crate::campaign::search::search;
+use platebench_engine::RunError;
 use platebench_model::scenario::load::ScenarioTables;
 use platebench_model::scenario::{Diagnostic, Scenario};
 use rand_chacha::ChaCha8Rng;
@@ -44,7 +45,7 @@ impl Campaign {
         // Sensor noise uses stream 0 of the seed, and the spread between trials uses stream 1.
         random.set_stream(u64::MAX - number);
         let mut values = Vec::new();
-        let mut refused = CampaignError::Cancelled;
+        let mut refused = CampaignError::from(RunError::Cancelled);
         for redraws in 0..attempts {
             values = self.draw(number, redraws, &values, &mut random);
             match self.trial_with(number, values.clone(), redraws) {
@@ -231,6 +232,6 @@ impl Campaign {
                 }
             }
         }
-        Err(CampaignError::Cancelled)
+        Err(RunError::Cancelled.into())
     }
 }

@@ -82,15 +82,17 @@ pub enum CampaignError {
     #[error(transparent)]
     Connect(#[from] ConnectError),
     #[error(transparent)]
-    Rig(#[from] RigError),
-    #[error(transparent)]
     Run(#[from] RunError),
     #[error(transparent)]
     Folder(#[from] FolderError),
     #[error("the controller was lost or did not confirm 0 V: check the amplifier before you touch the plate")]
     NotSafe,
-    #[error("the campaign was cancelled")]
-    Cancelled,
+}
+
+impl From<RigError> for CampaignError {
+    fn from(error: RigError) -> Self {
+        RunError::from(error).into()
+    }
 }
 
 impl CampaignError {

@@ -10,7 +10,7 @@ use crate::campaign::plan::CampaignPlan;
 use crate::campaign::row::{ShardEnd, TrialRow};
 use platebench_engine::workers::{Emit, InOrder, run_workers};
 use platebench_engine::{
-    Executor, ExecutorSettings, FirmwareDigest, LinkFactory, MAX_LOSSES, SafeEnds, law, why_not_applicable,
+    Executor, ExecutorSettings, FirmwareDigest, LinkFactory, MAX_LOSSES, RunError, SafeEnds, law, why_not_applicable,
 };
 use platebench_model::record::Verdict;
 use platebench_model::trace::Row as TraceRow;
@@ -187,7 +187,7 @@ pub fn play_trials(
     outcome?;
     // If a trial has no result, the campaign was cancelled.
     if config.cancel.is_cancelled() || rows.next_number() < trials.end {
-        Err(CampaignError::Cancelled)
+        Err(RunError::Cancelled.into())
     } else {
         Ok(end)
     }

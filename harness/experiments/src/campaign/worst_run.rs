@@ -7,7 +7,7 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::play::PlayConfig;
 use crate::campaign::row::{MAX_WORST, TrialRow};
 use crate::campaign::summary::Summary;
-use platebench_engine::{Clock, Event, RunError, RunHooks, RunPlan, run};
+use platebench_engine::{Clock, Event, RunHooks, RunPlan, run};
 use platebench_model::record::{KeepTraces, Overrides, RunFolder, RunRecord, ScenarioRecord};
 use platebench_model::scenario::load;
 use platebench_model::trace::{AtPath, OutputFolder, read_regular_file};
@@ -85,11 +85,7 @@ pub fn play_worst(
         trials_with_rows: 1,
         ..RunHooks::default()
     };
-    let record =
-        run(&plan, &run_folder, &|| clock.connect(&config.rig, &options), hooks).map_err(|error| match error {
-            RunError::Cancelled => CampaignError::Cancelled,
-            error => CampaignError::Run(error),
-        })?;
+    let record = run(&plan, &run_folder, &|| clock.connect(&config.rig, &options), hooks)?;
     Ok(Some((record, run_folder)))
 }
 

@@ -14,7 +14,7 @@ use crate::explore::scene::Scene;
 use crate::explore::sequence::SequenceLimits;
 use platebench_engine::plan::LinkFactory;
 use platebench_engine::workers::{Emit, run_workers};
-use platebench_engine::{SafeEnds, configure};
+use platebench_engine::{RunError, SafeEnds, configure};
 use platebench_model::scenario::{Scenario, ScenarioMessage};
 use platebench_rig::{CancelToken, ProtocolCoverage, RigError, is_defined_law};
 use platebench_wire::LawId;
@@ -374,6 +374,7 @@ pub fn explore_and_record<L: RecordingLink>(
     };
     exploration.failed_sequences.sort_by_key(|sequence| sequence.index);
     exploration.is_interrupted = cancel.is_cancelled();
+    exploration.error.take_if(|error| matches!(error, ExploreError::Run(RunError::Cancelled)));
     exploration.failed.sort_by_key(|scene| scene.index);
     exploration.elapsed = started.elapsed();
     let is_empty = exploration.scenes == 0 && exploration.sequences.played == 0 && exploration.regressions == 0;

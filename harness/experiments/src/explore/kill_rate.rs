@@ -11,7 +11,7 @@ use crate::explore::sequence::SequenceLimits;
 use crate::trust::report::{MutantOutcome, Rate, TrustReport, format_rate};
 use crate::trust::{CleanVariant, MutantSpec};
 use platebench_document::Block;
-use platebench_engine::SafeEnds;
+use platebench_engine::{RunError, SafeEnds};
 use platebench_rig::{BoxedLink, CancelToken, HostedLink, Session};
 use platebench_wire::LawId;
 use serde::Serialize;
@@ -225,7 +225,7 @@ impl KillRateConfig {
         let mut exploration = explore(&config, &|| Ok(link()), cancel, &SafeEnds::default(), &mut |_, _| {})?;
         match exploration.error.take() {
             Some(error) => Err(error),
-            None if exploration.is_interrupted => Err(ExploreError::Cancelled),
+            None if exploration.is_interrupted => Err(RunError::Cancelled.into()),
             None => Ok(exploration),
         }
     }

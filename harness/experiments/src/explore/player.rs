@@ -193,8 +193,6 @@ pub enum ExploreError {
     #[error(transparent)]
     Connect(#[from] ConnectError),
     #[error(transparent)]
-    Rig(#[from] RigError),
-    #[error(transparent)]
     Run(#[from] RunError),
     #[error("the controller does not announce the law {law}, expected {options}")]
     LawNotAnnounced { law: String, options: String },
@@ -202,6 +200,10 @@ pub enum ExploreError {
     Generated(Box<Diagnostic>),
     #[error(transparent)]
     File(#[from] FileError),
-    #[error("the exploration was cancelled")]
-    Cancelled,
+}
+
+impl From<RigError> for ExploreError {
+    fn from(error: RigError) -> Self {
+        RunError::from(error).into()
+    }
 }

@@ -17,7 +17,7 @@ use crate::explore::shrink::{MinimalScene, shrink_scene, shrink_sequence};
 #[cfg(feature = "firmware-analysis")]
 use crate::firmware_analysis::suite::read_code;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::{SafeEnds, law, why_not_applicable};
+use platebench_engine::{RunError, SafeEnds, law, why_not_applicable};
 use platebench_model::scenario::{OWN_LAW, Scenario, ScenarioMessage, load};
 use platebench_model::trace::{AtPath, write_atomically};
 use platebench_rig::{CancelToken, ConnectOptions, FaultInjector, Link, LinkKind, RigSpec, Session};
@@ -108,7 +108,7 @@ impl ExploreSession {
         config.has_endurance = !kind.loses_bytes();
         if config.law.is_own() {
             let measured = measure_own_law(&config.envelope, &connect, config.own_clock, cancel, &ends)?;
-            config.law = ExploredLaw::Own(measured.ok_or(ExploreError::Cancelled)?);
+            config.law = ExploredLaw::Own(measured.ok_or(RunError::Cancelled)?);
         }
         let started = Instant::now();
         let mut on_scene = |scenes, failed| {
@@ -132,7 +132,7 @@ impl ExploreSession {
         let mut add = |found: (Option<ViolationReport>, Option<ExploreError>)| {
             report.violations.extend(found.0);
             match found.1 {
-                Some(ExploreError::Cancelled) => report.is_interrupted = true,
+                Some(ExploreError::Run(RunError::Cancelled)) => report.is_interrupted = true,
                 Some(error) => stop = stop.take().or(Some(error)),
                 None => return true,
             }
@@ -358,7 +358,7 @@ fn reproduce(
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     player.renew();
     let again = load(path, &name).map_err(|fault| ExploreError::Generated(Box::new(fault)));
-    let again = again.and_then(|scenario| player.play(&scenario)?.ok_or(ExploreError::Cancelled));
+    let again = again.and_then(|scenario| player.play(&scenario)?.ok_or(RunError::Cancelled.into()));
     let again = again.map(|again| violation.is_reproduced = again.failure_of(violation.property).is_some());
     (Some(violation), again.err())
 }

@@ -6,6 +6,7 @@ use crate::explore::exploration::{ExploreConfig, FailedScene, FailedSequence};
 use crate::explore::player::{ExploreError, SceneFailure, ScenePlayer};
 use crate::explore::properties::{Demand, Property};
 use crate::explore::scene::{Relation, Scene};
+use platebench_engine::RunError;
 use platebench_model::scenario::ScenarioMessage;
 use std::ops::Range;
 use std::time::{Duration, Instant};
@@ -51,7 +52,7 @@ pub fn shrink_scene(
     let mut fails = |scene: &Scene| {
         let scenario = config.scenario(scene, "Replay").check()?;
         player.renew();
-        let result = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        let result = player.play(&scenario)?.ok_or(RunError::Cancelled)?;
         Ok(result.failure_of(property).cloned())
     };
     let build = |choices: &[Choice]| generator.replay(choices);
@@ -112,7 +113,7 @@ pub fn shrink_sequence(
         // A candidate may be invalid, for example if the messages before an `again` are gone.
         let Ok(scenario) = config.sequence_scenario(messages, "Replay", "").check() else { return Ok(None) };
         player.renew();
-        let result = player.play(&scenario)?.ok_or(ExploreError::Cancelled)?;
+        let result = player.play(&scenario)?.ok_or(RunError::Cancelled)?;
         let failure = result.failure_of(property).map(|failure| failure.name.clone());
         Ok(failure.map(|name| result.differences.into_iter().next().unwrap_or(name)))
     };

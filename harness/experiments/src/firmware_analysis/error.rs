@@ -15,8 +15,6 @@ pub enum FirmwareAnalysisError {
     #[error(transparent)]
     Connect(#[from] ConnectError),
     #[error(transparent)]
-    Rig(#[from] RigError),
-    #[error(transparent)]
     Run(#[from] RunError),
     #[error(
         "the unchanged firmware did not confirm 0 V, or commanded a drive afterwards; expected an answer to `safe`"
@@ -42,8 +40,6 @@ pub enum FirmwareAnalysisError {
     NoMatch(String),
     #[error("the disassembler failed: {0}")]
     Disassembler(String),
-    #[error("cancelled")]
-    Cancelled,
 }
 
 /// Largest number of functions that a message names.
@@ -54,9 +50,15 @@ fn first_names(functions: &[String]) -> String {
     names.join(", ") + if functions.len() > MAX_NAMES { ", …" } else { "" }
 }
 
+impl From<RigError> for FirmwareAnalysisError {
+    fn from(error: RigError) -> Self {
+        RunError::from(error).into()
+    }
+}
+
 impl FirmwareAnalysisError {
     /// False if the run was cancelled or the bench has a defect.
     pub fn is_invalid_input(&self) -> bool {
-        !matches!(self, Self::Cancelled | Self::Run(RunError::Cancelled) | Self::Disassembler(_))
+        !matches!(self, Self::Run(RunError::Cancelled) | Self::Disassembler(_))
     }
 }

@@ -127,6 +127,21 @@ fn scenes_before_a_lost_rig_are_kept() {
     assert!(explore(&config, &connect, &CancelToken::never(), &SafeEnds::default(), &mut |_, _| {}).is_err());
 }
 
+#[test]
+fn a_cancellation_while_a_controller_starts_is_no_error() {
+    let (connections, cancel) = (AtomicU32::new(0), CancelToken::default());
+    let connect = || {
+        if connections.fetch_add(1, Ordering::Relaxed) > 0 {
+            cancel.cancel();
+        }
+        RigSpec::hosted().connect()
+    };
+    let config = ExploreConfig { jobs: 1, ..configuration(LawId::DqPi, 60) };
+    let result = explore(&config, &connect, &cancel, &SafeEnds::default(), &mut |_, _| {}).unwrap();
+    assert!(result.is_interrupted && result.scenes > 0, "{result:?}");
+    assert!(result.error.is_none(), "{:?}", result.error);
+}
+
 fn session(budget: ExplorationBudget, regressions: Vec<Scenario>) -> ExploreSession {
     let ExploreConfig { envelope, seed, jobs, .. } = configuration(LawId::DqPi, 1);
     ExploreSession {
