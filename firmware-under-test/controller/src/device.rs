@@ -68,7 +68,8 @@ impl Device {
         self.compute_us = compute_us;
     }
 
-    fn answer(&mut self, packet: &Packet, now_us: u32) -> Option<Packet> {
+    /// Answer to a message that was decoded elsewhere. `None` if a target does not answer it.
+    pub fn answer(&mut self, packet: &Packet, now_us: u32) -> Option<Packet> {
         let message = match &packet.message {
             Message::Hello => Message::Identity(self.identity),
             Message::Configure(configure) => Message::Configured(self.configure(configure, now_us)),

@@ -259,7 +259,7 @@ pub(crate) fn is_controller_failure(error: &RigError) -> bool {
         | RigError::WrongSequence
         | RigError::ConfigurationRejected(_)
         | RigError::Link(LinkError::Target(_) | LinkError::Ended(_)) => true,
-        RigError::Link(LinkError::Disconnected(_))
+        RigError::Link(LinkError::Disconnected(_) | LinkError::BytesDiffer(_))
         | RigError::NoAnswer { .. }
         | RigError::NoIdentity { .. }
         | RigError::Cancelled

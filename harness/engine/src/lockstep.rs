@@ -47,8 +47,8 @@ pub fn play_hosted(scenario: &Scenario, law: LawId, index: u32) -> Result<TrialR
     Ok(lockstep.finish())
 }
 
-/// Transport of a trial on an emulated chip that does not depend on the line. The bench checks the
-/// blocks in one of ten trials, chosen from the scenario's name and the trial's number.
+/// Transport of a trial that does not depend on the line. The bench checks the shorter way in one of
+/// ten trials, chosen from the scenario's name and the trial's number.
 fn transport(scenario: &Scenario, index: u32) -> Transport {
     let name = scenario.file.bytes().fold(0_u32, |sum, byte| sum.wrapping_add(byte.into()));
     let is_checked = name.wrapping_add(index).is_multiple_of(CHECKED_TRIALS);
@@ -198,10 +198,8 @@ impl<'a, L: Link> LockstepLoop<'a, L> {
         let Trial { scenario, index, continues, .. } = trial;
         set_line_faults(session.link_mut(), scenario, index);
         let chip_faults = chip_fault_plan(scenario, index);
-        if let Some(chip) = session.link_mut().chip() {
-            let needs_words = trial.wire_time || !scenario.faults.is_empty() || !chip_faults.faults.is_empty();
-            chip.set_transport(if needs_words { Transport::Words } else { transport(scenario, index) });
-        }
+        let needs_words = trial.wire_time || !scenario.faults.is_empty() || !chip_faults.faults.is_empty();
+        session.set_transport(if needs_words { Transport::Words } else { transport(scenario, index) });
         let planned = session.link_mut().set_chip_faults(&chip_faults);
         session.link_mut().compare_with_reference(scenario.expects(Metric::ReferenceDifference));
         let mut lockstep = Self::new(session, trial, chip_faults);

@@ -23,6 +23,10 @@ impl<L: Link> ComparedLink<L> {
         self.comparison = is_compared.then(Box::default);
     }
 
+    pub(crate) fn is_comparing(&self) -> bool {
+        self.comparison.is_some()
+    }
+
     pub(crate) fn reference_difference_percent(&self) -> Option<f64> {
         self.comparison.as_ref()?.largest_percent
     }

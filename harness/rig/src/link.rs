@@ -7,6 +7,7 @@ use crate::symbols::CodeLocation;
 use platebench_model::metrics::{EnablePin, OutputRead};
 use platebench_model::record::{Transport, UnmodelledInstance};
 use platebench_model::scenario::ChipFaultKind;
+use platebench_wire::Packet;
 use std::fmt;
 use std::ops::DerefMut;
 use std::time::{Duration, Instant};
@@ -22,6 +23,13 @@ pub enum LinkError {
     Ended(String),
     #[error("{0}")]
     Target(Box<TargetError>),
+    /// A target in this process answers the sample of this trial time otherwise if it passes as bytes.
+    #[error(
+        "the bench has a defect, please report it: the sample {} µs after the start of the trial has another answer if \
+         it passes as bytes",
+        .0.as_micros()
+    )]
+    BytesDiffer(Duration),
 }
 
 /// Clock and reliability of a link.
@@ -125,6 +133,17 @@ pub trait Link: Send {
     /// Advances the target's time to `now` and appends the bytes that the target sends until then.
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError>;
 
+    /// Answer of a target in this process to the sample in `packet`, without the bytes of both. With
+    /// `is_checked`, fails if the bytes give another answer. `None` if the link transports bytes only.
+    fn answer_sample(
+        &mut self,
+        _now: Duration,
+        _packet: &Packet,
+        _is_checked: bool,
+    ) -> Option<Result<Packet, LinkError>> {
+        None
+    }
+
     fn kind(&self) -> LinkKind {
         LinkKind::Simulated
     }
@@ -156,6 +175,10 @@ impl<P: DerefMut<Target: Link> + Send> Link for P {
 
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         (**self).advance_to(now, received)
+    }
+
+    fn answer_sample(&mut self, now: Duration, packet: &Packet, is_checked: bool) -> Option<Result<Packet, LinkError>> {
+        (**self).answer_sample(now, packet, is_checked)
     }
 
     fn kind(&self) -> LinkKind {

@@ -5,6 +5,7 @@ use crate::command_audit::{CommandAudit, DrivesAfterSafe};
 use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::rejected_frame::{FrameMeter, RejectedFrame};
+use platebench_model::record::Transport;
 use platebench_wire::{
     Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
     Rejection, Sample,
@@ -136,6 +137,7 @@ pub struct Session<L: Link> {
     rejected_frames: u64,
     frames: FrameMeter,
     audit: CommandAudit,
+    transport: Transport,
 }
 
 impl<L: Link> Session<L> {
@@ -175,6 +177,7 @@ impl<L: Link> Session<L> {
             rejected_frames: 0,
             frames: FrameMeter::default(),
             audit: CommandAudit::new(),
+            transport: Transport::Words,
         };
         session.identity = handshake(&mut session.link, HANDSHAKE_TIMEOUT, cancel, || None)?;
         session.has_identity = true;
@@ -188,6 +191,15 @@ impl<L: Link> Session<L> {
 
     pub fn link_mut(&mut self) -> &mut L {
         &mut self.link
+    }
+
+    /// Sets how messages pass from the next trial on, on a rig with more than one transport. Call it
+    /// before the trial's configuration. A session starts with [`Transport::Words`].
+    pub fn set_transport(&mut self, transport: Transport) {
+        self.transport = transport;
+        if let Some(chip) = self.link.chip() {
+            chip.set_transport(transport);
+        }
     }
 
     pub fn identity(&self) -> &Identity {
@@ -485,7 +497,19 @@ impl<L: Link> Session<L> {
     fn request(&mut self, message: Message) -> Result<Option<(Message, Duration)>, RigError> {
         let sequence = self.next_sequence(&message);
         self.discard_consumed();
-        let frame = Packet { sequence, message }.encode();
+        let packet = Packet { sequence, message };
+        if matches!(message, Message::Sample(_))
+            && self.transport != Transport::Words
+            && let Some(answer) =
+                self.link.answer_sample(self.now, &packet, self.transport == Transport::BlocksAndWords)
+        {
+            let answer = self.check_link(answer)?;
+            self.audit.record(sequence, &answer);
+            self.pending_command = None;
+            self.last_command_sequence = sequence;
+            return Ok(Some((answer.message, Duration::ZERO)));
+        }
+        let frame = packet.encode();
         let exchanged = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes);
         let delay = self.check_link(exchanged)?;
         let (mut answer, mut other) = (None, self.pending_command.take());

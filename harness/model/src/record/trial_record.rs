@@ -130,17 +130,19 @@ pub struct Telemetry {
     pub violations: Vec<Violation>,
 }
 
-/// How messages pass between the bench and the USART of an emulated chip. All give the same results.
+/// How messages pass between the bench and the USART of an emulated chip, or the hosted controller. All
+/// give the same results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Transport {
-    /// Each word of the line is an event of its own.
+    /// Each word of the line is an event of its own. The hosted controller receives bytes.
     Words,
-    /// Words that the firmware cannot tell apart pass as one block.
+    /// Words that the firmware cannot tell apart pass as one block. The hosted controller receives
+    /// samples without bytes.
     #[default]
     Blocks,
-    /// As blocks. The bench then played the exchanges of the trial again as words, with the same
-    /// answers, delays and instruction counts.
+    /// As blocks. The bench also played the exchanges of the trial as words, with the same answers,
+    /// delays and instruction counts.
     BlocksAndWords,
 }
 

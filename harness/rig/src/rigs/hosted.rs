@@ -3,7 +3,7 @@
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory};
 use crate::link::{BoxedLink, Link, LinkError};
 use platebench_controller::Device;
-use platebench_wire::{Identity, LawId, capabilities};
+use platebench_wire::{Identity, LawId, Packet, PacketReader, capabilities};
 use std::time::Duration;
 
 pub(super) const RIG: RigFactory = RigFactory {
@@ -73,6 +73,14 @@ impl Link for HostedLink {
         Ok(Duration::ZERO)
     }
 
+    fn answer_sample(&mut self, now: Duration, packet: &Packet, is_checked: bool) -> Option<Result<Packet, LinkError>> {
+        let now_us = self.device_us(now);
+        let before = is_checked.then(|| self.device.clone());
+        let answer = self.device.answer(packet, now_us)?;
+        let is_wrong = before.is_some_and(|device| !bytes_agree(device, packet, &answer, now_us));
+        Some(if is_wrong { Err(LinkError::BytesDiffer(now)) } else { Ok(answer) })
+    }
+
     fn advance_to(&mut self, now: Duration, received: &mut Vec<u8>) -> Result<(), LinkError> {
         let now_us = self.device_us(now);
         self.device.tick(now_us, |frame| received.extend_from_slice(frame));
@@ -86,5 +94,29 @@ impl Link for HostedLink {
 
     fn continue_trial(&mut self) {
         self.trial_start = self.now;
+    }
+}
+
+/// True if `device` gives `answer` to the bytes of `packet`.
+fn bytes_agree(mut device: Device, packet: &Packet, answer: &Packet, now_us: u32) -> bool {
+    let mut bytes = Vec::new();
+    device.receive(packet.encode().as_bytes(), now_us, |frame| bytes.extend_from_slice(frame));
+    PacketReader::new().packets(&bytes).eq([Ok(*answer)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use platebench_wire::{Command, Message, Sample};
+
+    #[test]
+    fn another_answer_to_the_bytes_is_found() {
+        let message = Message::Sample(Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.5, wq_um: 0.0 });
+        let (packet, device) = (Packet { sequence: 1, message }, HostedLink::new().device);
+        let answer = device.clone().answer(&packet, 7).unwrap();
+        let Message::Command(command) = answer.message else { panic!("{answer:?}") };
+        let other = Packet { message: Message::Command(Command { flags: 16, ..command }), ..answer };
+        assert!(bytes_agree(device.clone(), &packet, &answer, 7));
+        assert!(!bytes_agree(device, &packet, &other, 7));
     }
 }

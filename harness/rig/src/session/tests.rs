@@ -3,8 +3,10 @@
 use super::*;
 use crate::link::{BoxedLink, LinkError, RealTimeLine};
 use crate::rigs::hosted::HostedLink;
-use platebench_test_kit::CONFIGURE;
+use platebench_test_kit::{CONFIGURE, random_sample};
 use platebench_wire::{LawId, Rejection, StateCause};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use std::sync::{Arc, Mutex};
 
 const AT_REST: Sample = Sample { time_us: 0, setpoint_um: 2.0, wd_um: 0.0, wq_um: 0.0 };
@@ -130,6 +132,38 @@ fn controls_with_the_hosted_device() {
     let reply = fixture.sample(0).unwrap();
     assert_eq!(reply.delay, Duration::ZERO);
     assert!(reply.command.drive_vpp > 500.0);
+}
+
+/// Replies to samples with silences that stop the controller, and the stops.
+fn replies(law: LawId, transport: Transport) -> (Vec<Option<Reply>>, Vec<Option<Command>>) {
+    let mut session = Session::open(HostedLink::new()).unwrap();
+    session.set_transport(transport);
+    let configure = Configure { law, ..CONFIGURE };
+    session.begin_trial(&configure, false).unwrap();
+    let (mut replies, mut stops, mut random) = (Vec::new(), Vec::new(), ChaCha8Rng::seed_from_u64(7));
+    for step in 0..300_u64 {
+        let now = Duration::from_millis(step + step / 40 * 10);
+        if step % 40 == 0 {
+            stops.push(session.advance_to(now).unwrap());
+            session.reconfigure(now, &configure).unwrap();
+        }
+        let mut sample = random_sample(&mut random, now.as_micros() as u32);
+        if step % 40 == 20 {
+            sample.wd_um = f32::NAN;
+        }
+        replies.push(session.send_sample(now, &sample).unwrap());
+    }
+    (replies, stops)
+}
+
+#[test]
+fn samples_without_bytes_get_the_same_replies() {
+    for law in LawId::ALL {
+        let expected = replies(law, Transport::Words);
+        assert!(expected.0.iter().all(Option::is_some) && expected.1.iter().any(Option::is_some), "{law:?}");
+        assert_eq!(replies(law, Transport::Blocks), expected, "{law:?}");
+        assert_eq!(replies(law, Transport::BlocksAndWords), expected, "{law:?}");
+    }
 }
 
 #[test]
