@@ -1,4 +1,5 @@
-//! Finds the extremes of the motion between two rows of a trace.
+//! Finds the extremes of the motion between the rows of a trace. One interval contains all rows with
+//! the same command and the same mode, because only the largest value between rows counts.
 //!
 //! Between two commands W is the sum of a slow part S and of the ripple F of the fast pole,
 //! `S' = (s₊ − jω) S + g` and `F' = (s₋ − jω) F − g` with `g = (N/m) V/2ω_d`
@@ -23,28 +24,34 @@ const ROUNDING_UM: f64 = 1e-12;
 /// sixteenth of a period apart, those of each next one a sixteenth of that.
 const PARABOLAS: u32 = 2;
 
+/// The closed form over more rows would have rounding errors.
+const MAX_INTERVAL_ROWS: usize = 64;
+
 /// Share of the largest |W'| of earlier rows that bounds the next one. The slow oscillation of a
 /// second mode may have W' = 0 at a row.
 const SPEED_MEMORY: f64 = 0.8;
 
 /// Difference between the value of an expectation and its value with the extremes between the rows
-/// of the trace, in its unit. `None` if the metric is not an extreme of the motion, or if the trial
-/// has no value.
+/// of the trace, in its unit. `present` is the value of the rows. `None` if the metric is not an
+/// extreme of the motion, or if the trial has no value.
 pub fn missed_between_rows(
     scenario: &Scenario,
     index: u32,
     expectation: &Expectation,
     rows: &[Row],
     telemetry: &Telemetry,
+    present: f64,
 ) -> Option<f64> {
     use Metric::{Overshoot, PeakDeviation, Ripple, RipplePercent};
     if !matches!(expectation.metric, Overshoot | PeakDeviation | Ripple | RipplePercent) {
         return None;
     }
     let extremes = find_extremes(scenario, index, expectation, rows)?;
-    let value = |rows: &[Row]| measure(expectation, rows, telemetry).value();
-    let present = value(rows)?;
-    if extremes.is_empty() { Some(0.0) } else { Some((value(&with_extremes(rows, extremes))? - present).abs()) }
+    if extremes.is_empty() {
+        return Some(0.0);
+    }
+    let exact = measure(expectation, &with_extremes(rows, extremes), telemetry).value()?;
+    Some((exact - present).abs())
 }
 
 /// The rows, and rows at extremes of the signal that exceed all rows with the same setpoint in the
@@ -99,7 +106,8 @@ fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, row
     let mut driven = Driven::new(&poles, command);
     let (mut fast, mut last) = (Complex64::ZERO, LastStep::default());
     let mut ranges = Ranges::new(ranges);
-    for (number, [row, next]) in rows.array_windows().enumerate() {
+    let mut number = 0;
+    while let Some([row, next @ ..]) = rows.get(number..).filter(|rest| rest.len() > 1) {
         let w = Complex64::new(row.wd_um, row.wq_um);
         let present = Conditions { temperature_offset_k: row.temperature_offset_k, finger_force_n: row.finger_force_n };
         let commanded = [row.frequency_hz, row.drive_vpp];
@@ -112,18 +120,34 @@ fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, row
             driven = Driven::new(&poles, commanded);
         }
         command = commanded;
+        let range = ranges.at(number);
+        let rows_in_range = range.as_ref().map_or(1, |range| range.last - number);
+        let same =
+            next.iter().take(rows_in_range.min(MAX_INTERVAL_ROWS) - 1).take_while(|next| has_motion_of(row, next));
+        let length = 1 + same.count();
+        let Some(end) = rows.get(number + length) else { break };
         let motion = Motion { driven: &driven, slow: w - fast - driven.slow_rest, fast: fast - driven.fast_rest };
-        let seconds = next.t_s - row.t_s;
-        let next_fast = last.fast_after(&motion, seconds);
-        if let Some(range) = ranges.at(number) {
-            let next_w = Complex64::new(next.wd_um, next.wq_um);
-            let ends = [w - fast, next_w - next_fast].map(|slow| slow + driven.fast_rest);
-            let found = motion.extremes(row, signal, seconds, ends, range);
-            extremes.extend(found.into_iter().map(|extreme| (number, extreme)));
+        let seconds = end.t_s - row.t_s;
+        let end_fast = last.fast_after(&motion, seconds);
+        if let Some(range) = range {
+            let end_w = Complex64::new(end.wd_um, end.wq_um);
+            let ends = [w - fast, end_w - end_fast].map(|slow| slow + driven.fast_rest);
+            for t in motion.extremes(signal, seconds, ends, range) {
+                let at = row.t_s + t;
+                let place = number + next.iter().take(length - 1).take_while(|next| next.t_s <= at).count();
+                extremes.push((place, row_at(rows.get(place).unwrap_or(row), at, motion.after(t))));
+            }
         }
-        fast = next_fast;
+        fast = end_fast;
+        number += length;
     }
     Some(extremes)
+}
+
+/// True if drive, frequency and mode are the same from `row` on and from `next` on.
+fn has_motion_of(row: &Row, next: &Row) -> bool {
+    let motion = |row: &Row| [row.drive_vpp, row.frequency_hz, row.temperature_offset_k, row.finger_force_n];
+    motion(row) == motion(next)
 }
 
 /// The scenario for a plate without the demodulator, which does not act on the motion.
@@ -391,16 +415,9 @@ impl Motion<'_> {
         [ends[0].max(ends[1]) + reach, reach - lowest]
     }
 
-    /// Rows at the extremes between `row` and the next one, `seconds` later, that are beyond `range`.
-    /// `ends` are the slow part at both.
-    fn extremes(
-        &self,
-        row: &Row,
-        signal: BandSignal,
-        seconds: f64,
-        ends: [Complex64; 2],
-        range: &mut SetpointRange,
-    ) -> Vec<Row> {
+    /// Instants of the extremes in an interval of `seconds` that are beyond `range`, in s after its
+    /// start. `ends` are the slow part at both ends.
+    fn extremes(&self, signal: BandSignal, seconds: f64, ends: [Complex64; 2], range: &mut SetpointRange) -> Vec<f64> {
         let mut found = Vec::new();
         for (sign, bound) in [1.0, -1.0].into_iter().zip(self.bounds(signal, 0.0, seconds, ends)) {
             let mut search = Search { motion: self, signal, sign, largest: range.limit(sign), at: None };
@@ -413,7 +430,7 @@ impl Motion<'_> {
             }
         }
         found.sort_by(f64::total_cmp);
-        found.into_iter().map(|t| row_at(row, row.t_s + t, self.after(t))).collect()
+        found
     }
 }
 

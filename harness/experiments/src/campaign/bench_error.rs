@@ -54,7 +54,7 @@ impl BenchErrors {
             // Errors of the amplitude do not change a count.
             let of_pairs = |errors: Option<&Vec<f64>>| numerical.and(errors?.get(index).copied());
             let peak = scenario.expectations.get(index).and_then(|expectation| {
-                missed_between_rows(scenario, 0, expectation, &played.trace_rows, &played.telemetry)
+                missed_between_rows(scenario, 0, expectation, &played.trace_rows, &played.telemetry, *value)
             });
             let noise = of_pairs(paired.noise.as_ref());
             let sensor = match noise {
