@@ -1,4 +1,4 @@
-//! Runs the controller crate in this process: the same source and the same bytes as on the board.
+//! Runs the controller crate in this process: the same source as on the board.
 
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory};
 use crate::link::{BoxedLink, Link, LinkError};
