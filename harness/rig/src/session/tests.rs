@@ -148,7 +148,7 @@ fn replies(law: LawId, transport: Transport) -> (Vec<Option<Reply>>, Vec<Option<
             session.reconfigure(now, &configure).unwrap();
         }
         let mut sample = random_sample(&mut random, now.as_micros() as u32);
-        if step % 40 == 20 {
+        if step % 80 == 20 {
             sample.wd_um = f32::NAN;
         }
         replies.push(session.send_sample(now, &sample).unwrap());
