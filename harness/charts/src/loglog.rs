@@ -151,10 +151,20 @@ mod tests {
         };
         let (right, top) = (chart(FailedEdge::Right), chart(FailedEdge::Top));
         assert!(right.contains(">label<") && top.contains(">label<"), "{top}");
-        let ticks = |svg: &str, text: &str| svg.contains(&format!(">{text}</text>"));
-        // The decade for crosses has a line of the grid and no text.
-        assert!(ticks(&right, "10⁻⁹") && ticks(&top, "10⁻⁹"), "{top}");
-        insta::assert_snapshot!(top.replace("><", ">\n<"));
+        let numbers = |text: &str| {
+            let numbers = text.split(|letter: char| !letter.is_ascii_digit()).filter(|number| !number.is_empty());
+            numbers.take(2).map(|number| number.parse().unwrap()).collect::<Vec<i32>>()
+        };
+        let cross = |svg: &str| numbers(svg.split("class=\"s-series-1\" d=\"").nth(1).unwrap());
+        let text = |svg: &str, text: &str| {
+            let before = svg.split(&format!(">{text}</text>")).next().unwrap();
+            numbers(before.rsplit("<text").next().unwrap())
+        };
+        // 5 lies between 1 and 10 of the axis of the cost.
+        assert!(cross(&right)[0] > text(&right, "10⁻³")[0], "{right}");
+        assert!((text(&right, "10¹")[1]..text(&right, "10⁰")[1]).contains(&cross(&right)[1]), "{right}");
+        assert!(cross(&top)[1] < text(&top, "10²")[1], "{top}");
+        assert!((text(&top, "10⁰")[0]..text(&top, "10¹")[0]).contains(&cross(&top)[0]), "{top}");
     }
 
     #[test]

@@ -15,9 +15,10 @@ const RATE_MARGIN: f64 = 1.02;
 
 impl MethodReplay {
     /// Calls `see` with the state at rest, at the end of every interval, and on both sides of every
-    /// crossing of `band`, 1 ns apart. A general method restarts in steps of 1 µs or more while the
-    /// band may be crossed. It must solve the modal equations with a constant mode; otherwise the
-    /// result is [`MethodFailure::UnsupportedProblem`].
+    /// crossing of `band`, 1 ns apart. A general method integrates each interval as in
+    /// [`Self::integrate`]; the search integrates from the start of the interval again, in steps of
+    /// 1 µs or more. It needs the modal equations with a constant mode; otherwise the result is
+    /// [`MethodFailure::UnsupportedProblem`].
     pub fn find_crossings(
         &self,
         solver: &Solver,
@@ -57,7 +58,7 @@ impl MethodReplay {
         band: &BandMonitor,
         mut see: impl FnMut(Time, &State),
     ) -> Result<(), MethodFailure> {
-        let (mut now, mut x) = (Time::ZERO, [0.0; 4]);
+        let (mut start, mut state) = (Time::ZERO, [0.0; 4]);
         let state_of = |x: &[f64; 4]| ModalProblem::unpack(x, self.scale());
         let is_inside = |x: &[f64; 4]| band.contains(&state_of(x));
         for piece in self.intervals() {
@@ -66,6 +67,8 @@ impl MethodReplay {
             }
             let problem = ModalProblem::new(&piece.situation, self.scale());
             let advance = |x: &[f64; 4], time: Time| method.advance(&problem, *x, time.seconds(), setting, &mut None);
+            let (mut now, mut x) = (start, state);
+            (start, state) = (piece.end, advance(&x, piece.end - now)?);
             while now < piece.end {
                 // The norm of the rate of (W, U/ω0) never grows while drive and mode are constant,
                 // so |W| needs at least this time to the band's edge.
@@ -85,7 +88,7 @@ impl MethodReplay {
                 see(before.0, &state_of(&before.1));
                 see(behind.0, &state_of(&behind.1));
             }
-            see(now, &state_of(&x));
+            see(piece.end, &state_of(&state));
         }
         Ok(())
     }
