@@ -1,5 +1,5 @@
 use super::*;
-use platebench_test_kit::scenario_path;
+use platebench_test_kit::{scenario_path, skip_without};
 use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -249,6 +249,22 @@ fn the_bench_chart_compares_rigs_methods_and_numpy() {
     let svg = fs::read_to_string(folder.path().join("new/bench.svg")).unwrap();
     let texts = ["hosted rig, whole run", ">envelope<", ">10<", ">uncertainty of the reference<"];
     assert!(texts.iter().all(|text| svg.contains(text)) && svg.contains("per trial of 60 ms"), "{svg}");
+}
+
+#[test]
+fn numpy_settles_at_the_sample_before_the_crossing() {
+    let python = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python"));
+    if !python.exists() {
+        skip_without("python3 with numpy");
+        return;
+    }
+    let (_folder, rows) = bench_chart(python);
+    let settling_ms = |method: &str, setting: &str| {
+        let row = rows.iter().find(|row| row[0].starts_with(method) && row[1] == setting).unwrap();
+        parse_number(&row[4])
+    };
+    let before = settling_ms("emulated rig", "modal") - settling_ms("numpy batch", "10");
+    assert!((0.0..0.1).contains(&before), "{before} ms");
 }
 
 #[test]
