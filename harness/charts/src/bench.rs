@@ -23,8 +23,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-/// Below the folder of the default scenarios. The drives and the plate of `NUMPY` are those of this
-/// scenario.
+/// Path below the folder of the default scenarios. `NUMPY` has its law, step and plate.
 pub const SCENARIO: &str = "paper/fig14-closed-loop.toml";
 const FILE: &str = "bench.csv";
 const DRAWING: &str = "bench.svg";
@@ -129,9 +128,12 @@ fn settling_record(run: &RungRun) -> Option<&ExpectationRecord> {
     expectations.into_iter().find(|expectation| expectation.metric == Metric::SettlingTime)
 }
 
-fn point(setting: String, cpu_us: f64, settling_ms: Option<f64>) -> BenchPoint {
-    let never = || SolverStatus::Failed("does not settle".to_owned());
-    let status = settling_ms.map_or_else(never, |_| SolverStatus::Ok);
+fn point(setting: String, cpu_us: f64, settled: Result<Option<f64>, SolverStatus>) -> BenchPoint {
+    let (status, settling_ms) = match settled {
+        Ok(Some(settling_ms)) => (SolverStatus::Ok, Some(settling_ms)),
+        Ok(None) => (SolverStatus::Failed("does not settle".to_owned()), None),
+        Err(status) => (status, None),
+    };
     BenchPoint { setting, status, cpu_us: Some(cpu_us), settling_ms }
 }
 
@@ -142,10 +144,10 @@ fn run_series(scenario: &Scenario, runs: &[RungRun]) -> Vec<BenchSeries> {
     let run_point = |run: &RungRun| {
         let setting = match &run.rung {
             Rung::Model(model) => model.name(),
-            Rung::Rig(..) => Model::Modal.name(),
+            Rung::Rig(..) => scenario.model.name(),
         };
         let settling_ms = settling_record(run).and_then(|record| record.value);
-        point(setting.to_owned(), run.period_us * periods, settling_ms)
+        point(setting.to_owned(), run.period_us * periods, Ok(settling_ms))
     };
     let series = |name: &str, has_labels, points| BenchSeries { name: name.to_owned(), has_labels, points };
     vec![
@@ -178,7 +180,8 @@ fn plate_series(
     for _ in 0..config.rounds.max(1) {
         for ((.., solvers), costs) in groups.iter().zip(&mut costs) {
             for ((_, solver), costs) in solvers.iter().zip(costs) {
-                costs.push(call_cost_us(config.batch, || match black_box(*solver) {
+                result.seconds = replay.seconds();
+                let cost_us = call_cost_us(config.batch, || match black_box(*solver) {
                     Solver::Exact(_) => {
                         let _ = black_box(settling_time(scenario, expectation, &replay, solver));
                     }
@@ -186,16 +189,15 @@ fn plate_series(
                         replay.integrate(form, method, setting, &mut result);
                         black_box(&result);
                     }
-                }));
+                });
+                // A method that diverges ends before the trial.
+                costs.push(cost_us * replay.seconds() / result.seconds);
             }
         }
     }
     let series = groups.into_iter().zip(costs).map(|((name, has_labels, solvers), costs)| {
         let points = solvers.into_iter().zip(costs).map(|((setting, solver), costs)| {
-            let settled = settling_time(scenario, expectation, &replay, &solver);
-            let settling_ms = settled.clone().unwrap_or_default();
-            let point = point(setting, median(costs), settling_ms);
-            settled.map_or_else(|status| BenchPoint { status, ..point.clone() }, |_| point.clone())
+            point(setting, median(costs), settling_time(scenario, expectation, &replay, &solver))
         });
         BenchSeries { name, has_labels, points: points.collect() }
     });
@@ -240,7 +242,7 @@ fn numpy_series(scenario: &Scenario, config: &BenchConfig<'_>) -> BenchSeries {
             let runs = runs.collect::<Result<Vec<_>, _>>()?;
             let settling_ms = runs.first().map(|(_, settling_ms)| *settling_ms);
             let costs = runs.into_iter().map(|(cpu_us, _)| cpu_us).collect();
-            Ok(point(samples.to_string(), median(costs), settling_ms))
+            Ok(point(samples.to_string(), median(costs), Ok(settling_ms)))
         })
         .collect();
     match points {

@@ -34,6 +34,7 @@ pub struct BandMonitor {
 }
 
 impl BandMonitor {
+    /// True if the signal is inside the band or on an edge.
     pub fn contains(&self, state: &State) -> bool {
         (self.low..=self.high).contains(&self.signal.value(state))
     }
