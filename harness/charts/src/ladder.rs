@@ -1,7 +1,7 @@
 //! Compares cost and results of a run on rungs (levels of detail), from the linear plate to a real
 //! line.
 
-use crate::loglog::{LogLogChart, LogLogSeries};
+use crate::loglog::{FailedEdge, LogLogChart, LogLogSeries};
 use crate::measured_run::ChartError;
 use crate::measured_run::median;
 use crate::measured_run::{LOCKSTEP, MeasuredRun};
@@ -26,18 +26,18 @@ const METRICS: [(Metric, &str, &str); 3] = [
 ];
 
 #[derive(Debug, Clone, PartialEq)]
-enum Rung {
+pub(crate) enum Rung {
     Model(Model),
     Rig(RigSpec, Clock),
 }
 
 impl Rung {
     /// The most detailed rung in lockstep, so the line adds no delay.
-    fn reference() -> Self {
+    pub(crate) fn reference() -> Self {
         Self::Rig(RigSpec::emulated(None), LOCKSTEP)
     }
 
-    fn name(&self) -> String {
+    pub(crate) fn name(&self) -> String {
         match self {
             Self::Model(model) => format!("hosted, {} plate", model.name()),
             Self::Rig(rig, Clock::Lockstep { .. }) => format!("{}, lockstep", rig.name()),
@@ -90,29 +90,44 @@ pub fn build_chart(scenarios: &[Scenario], rounds: u32, rigs: &[RigSpec]) -> Res
     for rig in rigs {
         rungs.extend([LOCKSTEP, REAL_TIME].map(|clock| Rung::Rig(rig.clone(), clock)));
     }
+    let runs = play_rungs(&rungs, scenarios, rounds)?;
+    let Some(reference) = runs.iter().find(|run| run.rung == Rung::reference()).map(|run| run.record.clone()) else {
+        return Ok(section(&[]));
+    };
+    let results: Vec<_> = runs.into_iter().map(|run| RungResult::new(run, &reference)).collect();
+    Ok(section(&results))
+}
+
+pub(crate) struct RungRun {
+    pub(crate) rung: Rung,
+    /// Record of the last round.
+    pub(crate) record: RunRecord,
+    /// Processor time per control period, µs, median over rounds.
+    pub(crate) period_us: f64,
+}
+
+/// Omits rungs on which no scenario applies.
+pub(crate) fn play_rungs(rungs: &[Rung], scenarios: &[Scenario], rounds: u32) -> Result<Vec<RungRun>, ChartError> {
     let mut runs: Vec<(Rung, RunRecord, Vec<f64>)> = Vec::new();
     // Measures the rungs in turn, so that other load affects all of them equally.
     for _ in 0..rounds.max(1) {
-        for rung in &rungs {
+        for rung in rungs {
             let Some(MeasuredRun { record, period_us }) = rung.play(scenarios)? else { continue };
             match runs.iter_mut().find(|(known, ..)| known == rung) {
-                Some((.., costs)) => costs.push(period_us),
+                Some((_, last, costs)) => {
+                    *last = record;
+                    costs.push(period_us);
+                }
                 None => runs.push((rung.clone(), record, vec![period_us])),
             }
         }
     }
-    let Some(reference) =
-        runs.iter().find(|(rung, ..)| *rung == Rung::reference()).map(|(_, record, _)| record.clone())
-    else {
-        return Ok(section(&[]));
-    };
-    let results: Vec<_> =
-        runs.into_iter().map(|(rung, record, costs)| RungResult::new(rung, &record, &reference, costs)).collect();
-    Ok(section(&results))
+    Ok(runs.into_iter().map(|(rung, record, costs)| RungRun { rung, record, period_us: median(costs) }).collect())
 }
 
 impl RungResult {
-    fn new(rung: Rung, record: &RunRecord, reference: &RunRecord, costs: Vec<f64>) -> Self {
+    fn new(run: RungRun, reference: &RunRecord) -> Self {
+        let RungRun { rung, record, period_us } = run;
         let mut differences = [0.0_f64; METRICS.len()];
         let mut changed_verdicts = 0;
         for own in &record.scenarios {
@@ -126,7 +141,7 @@ impl RungResult {
                 }
             }
         }
-        Self { rung, scenarios: record.scenarios.len(), period_us: median(costs), changed_verdicts, differences }
+        Self { rung, scenarios: record.scenarios.len(), period_us, changed_verdicts, differences }
     }
 }
 
@@ -206,6 +221,7 @@ fn drawing(results: &[RungResult], place: usize, metric: Metric, unit: &str) -> 
         LogLogSeries {
             name: result.rung.name(),
             points: vec![(result.period_us, difference.max(SMALLEST_DRAWN))],
+            labels: Vec::new(),
             failed: Vec::new(),
             is_highlighted: result.rung == Rung::reference(),
         }
@@ -215,7 +231,8 @@ fn drawing(results: &[RungResult], place: usize, metric: Metric, unit: &str) -> 
         x_label: "processor time per control period, µs".to_owned(),
         y_label: format!("largest difference from the emulated firmware, {unit}"),
         series: results.iter().map(series).collect(),
-        vertical_line: None,
+        line: None,
+        failed_edge: FailedEdge::Top,
         failed_label: String::new(),
     }
 }

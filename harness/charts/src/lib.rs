@@ -3,6 +3,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
+pub mod bench;
 pub mod ladder;
 pub mod laws;
 mod loglog;
@@ -15,6 +16,7 @@ pub use measured_run::ChartError;
 
 /// Compares general integration methods on the plate's equations.
 pub mod integration {
+    mod crossings;
     pub mod failure;
     pub mod fixed;
     pub mod method;

@@ -5,7 +5,8 @@
 use clap::Parser;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
-use platebench_charts::{ChartError, ladder, laws, load_law_scenarios, precision, scenes};
+use platebench_charts::bench::BenchConfig;
+use platebench_charts::{ChartError, bench, ladder, laws, load_law_scenarios, precision, scenes};
 use platebench_document::Style;
 use platebench_document::write_chart_page;
 use platebench_engine::RunError;
@@ -55,6 +56,9 @@ struct Arguments {
     /// Rig to add to the ladder chart, in lockstep and in real time; may be repeated
     #[arg(long = "rig", value_name = "RIG")]
     rigs: Vec<RigSpec>,
+    /// Python with numpy, for the chart of the bench
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    python: PathBuf,
     /// Folder of the default scenarios, with paper/ and laws/
     #[arg(long, value_name = "FOLDER", default_value = "scenarios")]
     scenes: PathBuf,
@@ -70,6 +74,8 @@ enum ChartKind {
     Laws,
     /// Rungs from the linear plate to the emulated firmware: cost of a run against its difference
     Ladder,
+    /// Rigs, plate models, general integrators and numpy: error of a settling time against cost
+    Bench,
 }
 
 const CONSOLE_WIDTH: usize = 100;
@@ -129,6 +135,9 @@ fn draw(arguments: &Arguments) -> Result<(), Failure> {
     let rungs = is_selected(ChartKind::Ladder)
         .then(|| find_scenarios(arguments, std::slice::from_ref(&arguments.scenes)))
         .transpose()?;
+    let settling = is_selected(ChartKind::Bench)
+        .then(|| find_scenarios_in(&[arguments.scenes.join(bench::SCENARIO)]))
+        .transpose()?;
     let laws =
         is_selected(ChartKind::Laws).then(|| load_law_scenarios(&arguments.scenes, arguments.quick)).transpose()?;
     let now = || Timestamp::now().to_zoned(TimeZone::UTC).strftime("%Y%m%dT%H%M%SZ").to_string();
@@ -145,6 +154,11 @@ fn draw(arguments: &Arguments) -> Result<(), Failure> {
     }
     if let Some(scenarios) = rungs {
         sections.push(ladder::build_chart(&scenarios, rounds, &arguments.rigs)?);
+    }
+    for scenario in settling.iter().flatten() {
+        let python = &arguments.python;
+        let config = if arguments.quick { BenchConfig::quick(python) } else { BenchConfig::new(rounds, python) };
+        sections.push(bench::build_chart(scenario, &config)?);
     }
     if let Some(scenarios) = laws {
         sections.push(laws::build_chart(&scenarios)?);
@@ -166,7 +180,10 @@ fn draw(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn find_scenarios(arguments: &Arguments, default: &[PathBuf]) -> Result<Vec<Scenario>, Failure> {
-    let named = if arguments.scenarios.is_empty() { default } else { &arguments.scenarios };
+    find_scenarios_in(if arguments.scenarios.is_empty() { default } else { &arguments.scenarios })
+}
+
+fn find_scenarios_in(named: &[PathBuf]) -> Result<Vec<Scenario>, Failure> {
     let scenarios = find(named)?.scenarios;
     if scenarios.is_empty() {
         let message = "no scenario was found; name a scenario file or a folder with scenarios";

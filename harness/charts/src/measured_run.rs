@@ -16,6 +16,8 @@ pub enum ChartError {
     Scenario(Box<Diagnostic>),
     #[error("{0}: the setpoint is never above 0, so relative errors are undefined; expected a setpoint above 0")]
     NoSetpoint(String),
+    #[error("{0}: no expectation of settling_time_ms, which the chart needs; add one")]
+    NoSettlingTime(String),
     #[error("{what}: {source}")]
     Lost {
         /// Scenario and law.
@@ -84,6 +86,21 @@ fn children_cpu_time() -> Option<Duration> {
     let (_, fields) = stat.rsplit_once(')')?;
     let ticks: u64 = fields.split_whitespace().skip(13).take(2).map_while(|field| field.parse::<u64>().ok()).sum();
     Some(Duration::from_secs_f64(ticks as f64 / clock_ticks_per_second() as f64))
+}
+
+/// Processor time of one call on this thread, µs: the mean of a batch that takes at least `batch`.
+/// A first batch warms up unless it is long enough.
+pub(crate) fn call_cost_us(batch: Duration, mut call: impl FnMut()) -> f64 {
+    let mut repeats = 1_u32;
+    loop {
+        let started = thread_cpu_time();
+        (0..repeats).for_each(|_| call());
+        let elapsed = thread_cpu_time().saturating_sub(started);
+        if elapsed >= batch {
+            return elapsed.as_secs_f64() * 1e6 / f64::from(repeats);
+        }
+        repeats = repeats.saturating_mul(4);
+    }
 }
 
 fn cpu_time(clock: ClockId) -> Duration {

@@ -5,9 +5,10 @@ use crate::integration::sweep::{cheapest_from_a_crate, cheapest_method};
 use crate::integration::{
     EquationForm, IntegrationMethod, MethodReplay, ReplaySpec, Solver, SolverStatus, SweepConfig, SweepResult, sweep,
 };
-use crate::loglog::{LogLogChart, LogLogSeries};
+use crate::loglog::{FailedEdge, LogLogChart, LogLogSeries};
 use crate::measured_run::ChartError;
 use crate::measured_run::play_hosted;
+use platebench_document::chart::marks::AxisValue;
 use platebench_document::{Block, ChartSection, Document, Table};
 use platebench_engine::law;
 use platebench_model::scenario::{Scenario, Spread};
@@ -75,8 +76,9 @@ const EXPLANATION: [&str; 3] = [
      waveform step by step, which no model of the bench does.",
 ];
 
-/// Simulates the first trial on the nominal plate without noise, from its start for `window`.
-fn scenario_replay(scenario: &Scenario, window: Time) -> Result<MethodReplay, ChartError> {
+/// Plays the first trial with the hosted controller on the nominal plate without noise. The replay
+/// has its drives, from its start for `window`.
+pub(crate) fn scenario_replay(scenario: &Scenario, window: Time) -> Result<MethodReplay, ChartError> {
     let setpoint_um = scenario.setpoint.range().1;
     if setpoint_um <= 0.0 {
         return Err(ChartError::NoSetpoint(scenario.file.clone()));
@@ -184,6 +186,7 @@ fn loglog_chart(scenario: &Scenario, form: EquationForm, results: &[SweepResult]
             series.push(LogLogSeries {
                 name: name.to_owned(),
                 points: Vec::new(),
+                labels: Vec::new(),
                 failed: Vec::new(),
                 is_highlighted: is_ours,
             });
@@ -201,7 +204,8 @@ fn loglog_chart(scenario: &Scenario, form: EquationForm, results: &[SweepResult]
         x_label: "largest |ΔW| at a control instant / setpoint".to_owned(),
         y_label: format!("ns per simulated ms · {} equations", form.name()),
         series,
-        vertical_line: (model_error > 1e-12).then(|| (model_error, "neglected by these equations".to_owned())),
+        line: (model_error > 1e-12).then(|| (AxisValue::X(model_error), "neglected by these equations".to_owned())),
+        failed_edge: FailedEdge::Right,
         failed_label: "diverged or gave up".to_owned(),
     }
 }

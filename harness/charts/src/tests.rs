@@ -1,7 +1,8 @@
 use super::*;
-use platebench_test_kit::scenario_path;
+use platebench_test_kit::{scenario_path, skip_without};
 use std::collections::BTreeSet;
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 
 fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> Arguments {
     Arguments {
@@ -10,6 +11,7 @@ fn arguments(only: ChartKind, named: &[PathBuf], out: &Path) -> Arguments {
         quick: true,
         only: vec![only],
         rigs: Vec::new(),
+        python: PathBuf::from("python3"),
         scenes: scenario_path(""),
     }
 }
@@ -202,6 +204,79 @@ fn the_ladder_compares_models_with_the_emulated_firmware() {
     assert!(rows[1..].iter().all(|row| row[1] == "2" && parse_number(&row[2]) > 0.0), "{rows:?}");
     let svg = fs::read_to_string(folder.path().join("new/ladder-settling-time.svg")).unwrap();
     assert!(svg.contains("emulated, lockstep"), "{}", svg.len());
+}
+
+/// Draws the chart of the bench with `python`, and returns the rows of its CSV without the header.
+fn bench_chart(python: &Path) -> (tempfile::TempDir, Vec<Vec<String>>) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("new");
+    draw(&Arguments { python: python.to_owned(), ..arguments(ChartKind::Bench, &[], &out) }).unwrap();
+    let mut rows = parse_csv(&fs::read_to_string(out.join("bench.csv")).unwrap());
+    assert_eq!(rows.remove(0).join(","), "method,setting,status,cpu_us_per_trial,settling_time_ms,error_ms");
+    (folder, rows)
+}
+
+#[test]
+fn the_bench_chart_compares_rigs_methods_and_numpy() {
+    let python = tempfile::tempdir().unwrap();
+    let script = python.path().join("python");
+    // The batch of numpy has the arguments -c PROGRAM PLATES SAMPLES FREQUENCY.
+    fs::write(&script, "#!/bin/sh\nset -e\n[ $5 = 32220.9 ]\necho $(($3 * $4)) 1.9$4\n").unwrap();
+    fs::set_permissions(&script, fs::Permissions::from_mode(0o755)).unwrap();
+    let (folder, rows) = bench_chart(&script);
+    let point = |method: &str, setting: &str| {
+        let row = rows.iter().find(|row| row[0].starts_with(method) && row[1] == setting).unwrap();
+        assert_eq!(row[2], "ok", "{row:?}");
+        let [cost, settling_ms, error_ms] = [3, 4, 5].map(|column| parse_number(&row[column]));
+        assert!(cost > 0.0, "{row:?}");
+        (cost, settling_ms, error_ms)
+    };
+    // The hosted and the emulated rig run the same law on the same plate.
+    let (_, reference, error) = point("emulated rig", "modal");
+    assert!((1.93..1.95).contains(&reference) && error == 0.0, "{reference} {error}");
+    assert_eq!(point("hosted rig", "modal").2, 0.0);
+    let (linear, envelope) = (point("hosted rig", "linear").2, point("hosted rig", "envelope").2);
+    assert!(linear > envelope && envelope > 1e-4, "{linear} {envelope}");
+    // The replay has the drives of the run, so the closed form crosses the band at the same instant.
+    assert!(point("closed form", "modal").2 < 1e-9, "{rows:?}");
+    assert!(point("closed form", "linear").2 > 1e-3, "{rows:?}");
+    for method in ["ode_solvers DOPRI5", "ode_solvers DOP853", "differential-equations DOP853"] {
+        let (coarse, fine) = (point(method, "1e-4").2, point(method, "1e-8").2);
+        assert!(fine < 1e-4 && coarse > 10.0 * fine, "{method}: {coarse} {fine}");
+    }
+    assert_eq!(point("numpy batch", "10").0, 10_000.0);
+    assert!((point("numpy batch", "1").2 - (reference - 1.91)).abs() < 1e-12, "{rows:?}");
+    let svg = fs::read_to_string(folder.path().join("new/bench.svg")).unwrap();
+    let texts = ["hosted rig, whole run", ">envelope<", ">10<", ">uncertainty of the reference<"];
+    assert!(texts.iter().all(|text| svg.contains(text)) && svg.contains("per trial of 60 ms"), "{svg}");
+}
+
+#[test]
+fn numpy_settles_at_the_sample_before_the_crossing() {
+    let python = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/test-readers/bin/python"));
+    if !python.exists() {
+        skip_without("python3 with numpy");
+        return;
+    }
+    let (_folder, rows) = bench_chart(python);
+    let settling_ms = |method: &str, setting: &str| {
+        let row = rows.iter().find(|row| row[0].starts_with(method) && row[1] == setting).unwrap();
+        parse_number(&row[4])
+    };
+    let before = settling_ms("emulated rig", "modal") - settling_ms("numpy batch", "10");
+    assert!((0.0..0.1).contains(&before), "{before} ms");
+}
+
+#[test]
+fn the_bench_chart_states_that_numpy_is_missing() {
+    let (folder, rows) = bench_chart(Path::new("no-such-python"));
+    let [.., row] = &rows[..] else { panic!("{rows:?}") };
+    assert!(row[2].starts_with("failed: not measured: no-such-python: "), "{row:?}");
+    assert_eq!(row[3..], [""; 3]);
+    for file in ["charts.html", "bench.svg"] {
+        let text = fs::read_to_string(folder.path().join("new").join(file)).unwrap();
+        assert!(text.contains("numpy batch: not measured, no-such-python: "), "{file}");
+    }
 }
 
 #[test]

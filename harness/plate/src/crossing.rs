@@ -34,12 +34,13 @@ pub struct BandMonitor {
 }
 
 impl BandMonitor {
-    fn contains(&self, state: &State) -> bool {
+    /// True if the signal is inside the band or on an edge.
+    pub fn contains(&self, state: &State) -> bool {
         (self.low..=self.high).contains(&self.signal.value(state))
     }
 
-    /// Distance to the nearest edge, but for a rounding error.
-    fn distance(&self, state: &State) -> f64 {
+    /// Distance to the nearest edge, µm, but for a rounding error.
+    pub fn distance(&self, state: &State) -> f64 {
         let value = match self.signal {
             // `hypot`, without a rounding error, takes ten times as long.
             BandSignal::Amplitude => state.w.norm_sqr().sqrt(),

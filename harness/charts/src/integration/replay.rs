@@ -32,10 +32,10 @@ impl EquationForm {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct ReplayInterval {
-    end: Time,
+pub(crate) struct ReplayInterval {
+    pub(crate) end: Time,
     seconds: f64,
-    situation: ProblemParameters,
+    pub(crate) situation: ProblemParameters,
     /// Phase of the excitation at the start, rad.
     theta: f64,
     ends_at_control: bool,
@@ -115,6 +115,15 @@ impl MethodReplay {
 
     pub fn seconds(&self) -> f64 {
         self.intervals.iter().map(|piece| piece.seconds).sum()
+    }
+
+    pub(crate) fn intervals(&self) -> &[ReplayInterval] {
+        &self.intervals
+    }
+
+    /// Angular frequency by which the equations divide velocities, rad/s.
+    pub(crate) const fn scale(&self) -> f64 {
+        self.scale
     }
 
     pub fn plant(&self, model: Model) -> Plant {

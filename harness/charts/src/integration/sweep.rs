@@ -42,6 +42,15 @@ impl std::fmt::Display for SolverStatus {
     }
 }
 
+impl From<MethodFailure> for SolverStatus {
+    fn from(failure: MethodFailure) -> Self {
+        match failure {
+            MethodFailure::Diverged => Self::Diverged,
+            failure => Self::Failed(failure.to_string()),
+        }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Solver {
     Exact(Model),
@@ -212,8 +221,7 @@ impl<'a> ReferenceSolutions<'a> {
         let error = |truth| if failure.is_some() { f64::INFINITY } else { passage.relative_error(&samples, truth) };
         let numerical_error = error(own);
         let status = match failure {
-            Some(MethodFailure::Diverged) => SolverStatus::Diverged,
-            Some(failure) => SolverStatus::Failed(failure.to_string()),
+            Some(failure) => failure.into(),
             None if numerical_error < MAX_USEFUL_ERROR => SolverStatus::Ok,
             None => SolverStatus::Diverged,
         };

@@ -2,5 +2,6 @@
 
 #![allow(clippy::unwrap_used, reason = "a helper that cannot set up its case has failed the case")]
 
+mod crossings;
 mod extended_precision;
 mod methods;

@@ -12,15 +12,15 @@ use platebench_test_kit::paper_plate;
 use rstest::rstest;
 use std::time::Duration;
 
-fn ms(ms: f64) -> Time {
+pub(crate) fn ms(ms: f64) -> Time {
     Time::from_ms(ms).unwrap()
 }
 
-fn constant_scene() -> ConditionProfiles {
+pub(crate) fn constant_scene() -> ConditionProfiles {
     ConditionProfiles { temperature_offset_k: Profile::constant(0.0), finger_force_n: Profile::constant(0.5) }
 }
 
-fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> MethodReplay {
+pub(crate) fn replay_from_rest(scene: &ConditionProfiles, periods: u32) -> MethodReplay {
     let plate = paper_plate();
     let drive = |vpp: f64, detuning: f64| Drive { vpp, omega: plate.omega0 + detuning };
     let drives = [(ms(0.0), drive(500.0, -545.0)), (ms(1.0), drive(200.0, -200.0)), (ms(2.4), drive(290.0, 30.0))];
@@ -157,7 +157,7 @@ fn the_matrix_exponential_is_exact_to_rounding(
 }
 
 /// The force rises to 1 N in 5 ms, twenty times as fast as the finger in the paper.
-fn varying_scene() -> ConditionProfiles {
+pub(crate) fn varying_scene() -> ConditionProfiles {
     let line = toml::from_str::<Document>("p = { linear = [[0.0, 0.0], [5.0, 1.0]] }").unwrap().p;
     ConditionProfiles {
         temperature_offset_k: Profile::constant(0.0),
