@@ -4,8 +4,8 @@
 use crate::explore::choices::{Choice, Choices, DrawLists, Drawn, Part, uniform, weighted};
 use crate::explore::envelope::Envelope;
 use crate::explore::limits::ExploredLaw;
-use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, Tuning};
-use crate::explore::timeline::{ENDURANCE, ENDURANCE_REST_MS, EventKind, GapKind, Timeline};
+use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, Settings, Tuning};
+use crate::explore::timeline::{ENDURANCE_CHANGES, ENDURANCE_REST_MS, EventKind, GapKind, Timeline};
 use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -26,9 +26,8 @@ pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
 const MAX_OVERLOAD: f64 = 2.0;
 /// Fewest control periods after the last event of a judged and of an earlier trial.
 const TAIL_PERIODS: [u32; 2] = [10, 1];
-/// Number of events of an earlier trial and of a long trial.
+/// Number of events of an earlier trial.
 const EARLIER_EVENTS: [u32; 2] = [1, 2];
-const ENDURANCE_EVENTS: [u32; 2] = [2, 3];
 
 /// Properties of a scene that its number determines. All other properties are drawn.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -36,15 +35,15 @@ const ENDURANCE_EVENTS: [u32; 2] = [2, 3];
 pub(crate) struct Stratum {
     /// Choice of the control period. 0: usual; 1: shortest; 2: longest; larger numbers: drawn.
     period: u64,
-    /// Choice of the drive limit. 0: largest; 1: smallest; larger numbers: drawn.
+    /// Choice of the drive limit. 0: that of the plate; 1: smallest; 2: largest; larger numbers: drawn.
     limit: u64,
     /// Kinds of the first events, and the time before each if it is not drawn.
     pub(crate) kinds: Vec<EventKind>,
     pub(crate) gaps: Vec<(GapKind, i32)>,
     has_history: bool,
     has_noise: bool,
-    /// True if the configuration has its own response time, gains, frequency range or slew limit.
-    is_tuned: bool,
+    /// Settings that the configuration may have.
+    settings: Settings,
     has_fault: bool,
     /// True if setpoints of the judged trial may exceed the reach of the drive limit.
     is_overloaded: bool,
@@ -79,8 +78,9 @@ impl Stratum {
     /// Without `has_endurance` no trial is long.
     fn of(index: u64, has_endurance: bool) -> Self {
         if has_endurance && index % ENDURANCE_EVERY == ENDURANCE_AT {
-            let kinds = vec![EventKind::Rest, EventKind::Step];
-            let gaps = vec![(GapKind::Long, ENDURANCE_REST_MS), (GapKind::Sample, ENDURANCE)];
+            let later = ENDURANCE_CHANGES.map(|(kind, sample)| (kind, (GapKind::Sample, sample)));
+            let rest = (EventKind::Rest, (GapKind::Long, ENDURANCE_REST_MS));
+            let (kinds, gaps) = [rest].into_iter().chain(later).unzip();
             return Self { kinds, gaps, ..Self::default() };
         }
         let pair = index.wrapping_mul(PAIR_STRIDE) % PAIRS;
@@ -93,9 +93,13 @@ impl Stratum {
             gaps: Vec::new(),
             has_history: index % 3 == 1,
             has_noise: index % 7 == 5,
-            is_tuned: index % 5 == 3,
+            settings: match index % 10 {
+                3 => Settings::All,
+                8 => Settings::FrequencyLimits,
+                _ => Settings::None,
+            },
             has_fault: index % 9 == 7,
-            is_overloaded: index % 13 == 6,
+            is_overloaded: index % 11 == 6,
             is_overloaded_before: index % 5 == 2,
             is_long: index % LONG_EVERY == LONG_AT,
             sine: match index % (2 * SINE_EVERY) {
@@ -113,7 +117,8 @@ impl Stratum {
     fn of_earlier_trials(&self) -> Self {
         let Self { has_noise, is_overloaded_before, .. } = *self;
         let is_overloaded = is_overloaded_before;
-        Self { period: u64::MAX, limit: u64::MAX, is_tuned: true, has_noise, is_overloaded, ..Self::default() }
+        let settings = Settings::All;
+        Self { period: u64::MAX, limit: u64::MAX, settings, has_noise, is_overloaded, ..Self::default() }
     }
 }
 
@@ -224,8 +229,14 @@ impl Generator<'_> {
         let [delay_low, delay_high] = range.loop_delay_periods.map(|periods| (periods * 20.0) as i32);
         let delay = choices.mostly(delay_low, [6, 4], delay_low..=delay_high).unsigned_abs();
         let has_delay = law.properties().is_some_and(|properties| properties.compensates_delay);
-        let most_limit = ((range.drive_limit_vpp[1] - range.drive_limit_vpp[0]) / f64::from(LIMIT_STEP_VPP)) as i32;
-        let limit = choices.given([0, most_limit].get(stratum.limit as usize).copied(), 0..=most_limit);
+        let usual_limit = self.envelope.usual_limit_vpp();
+        let limits = grid(range.drive_limit_vpp, usual_limit, LIMIT_STEP_VPP.into());
+        let limit = [0, *limits.start(), *limits.end()].get(stratum.limit as usize).copied();
+        let [lowest, highest] = range.drive_limit_vpp;
+        let limit = choices.number(limits, |random| {
+            let mut drawn = || lowest * (highest / lowest).powf(f64::from(uniform(random, &(0..=100))) / 100.0);
+            limit.unwrap_or_else(|| ((drawn() - usual_limit) / f64::from(LIMIT_STEP_VPP)).round() as i32)
+        });
         let most_noise = (range.noise_um_rms[1] * 1e6 / f64::from(NOISE_STEP_PM) + ROUNDING) as i32;
         let noise = choices.given((!stratum.has_noise).then_some(0), 0..=most_noise);
         let mut deviation = |range: [f64; 2]| {
@@ -233,7 +244,7 @@ impl Generator<'_> {
             choices.mostly(0, [6, 4], grid) * DEVIATION_STEP_PERMILLE
         };
         let plate = PlateChoice {
-            limit_vpp: range.drive_limit_vpp[1] as u32 - (limit * LIMIT_STEP_VPP).unsigned_abs(),
+            limit_vpp: (usual_limit as u32).saturating_add_signed(limit * LIMIT_STEP_VPP),
             noise_pm: (noise * NOISE_STEP_PM).unsigned_abs(),
             nominal_gain_permille: deviation(range.plate_gain_percent),
             nominal_time_constant_permille: deviation(range.plate_time_constant_percent),
@@ -250,7 +261,7 @@ impl Generator<'_> {
             setpoint: Course::zero(),
             force: Course::zero(),
             temperature: Course::zero(),
-            tuning: Tuning::draw(choices, range, stratum.is_tuned),
+            tuning: Tuning::draw(choices, range, stratum.settings),
             faults: Vec::new(),
         }
     }
@@ -280,7 +291,7 @@ impl Generator<'_> {
         let events = match judged {
             Some(_) => EARLIER_EVENTS,
             None if stratum.gaps.is_empty() => self.envelope.count.events,
-            None => ENDURANCE_EVENTS,
+            None => [0, 0],
         };
         let mut timeline = Timeline::draw(self.envelope, choices, &trial, stratum, events);
         trial.duration_us = timeline.now_us.max(1) + timeline.tail_us().max(least_tail * trial.period_us);

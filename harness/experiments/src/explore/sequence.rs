@@ -26,6 +26,9 @@ const RULES: u64 = 3;
 const TIMED_OUT: u64 = 3;
 /// Number of blocks with silences of a sequence in wall time.
 const WATCHDOG_BLOCKS: u32 = 3;
+/// In wall time, one in this many of the sequences that prefer silences has them. They wait for more
+/// than a second, a hundred times as long as other sequences.
+const SILENCES_EVERY: u64 = 3;
 /// A sequence of this many starts before the first configuration.
 const FIRST_MESSAGES_EVERY: u64 = 11;
 /// A sequence of this many has a long run.
@@ -247,7 +250,12 @@ impl SequenceDraw<'_> {
     }
 
     fn blocks(&mut self, index: u64) {
-        let preferred = self.choices.given(Some((index % BLOCK_KINDS) as i32), BLOCK_NUMBERS);
+        let mut preferred = (index % BLOCK_KINDS) as i32;
+        let turn = index / BLOCK_KINDS;
+        if self.limits.own_clock && block(preferred) == Block::Watchdog && !turn.is_multiple_of(SILENCES_EVERY) {
+            preferred = Block::Rejected as i32;
+        }
+        let preferred = self.choices.given(Some(preferred), BLOCK_NUMBERS);
         let is_slow = self.limits.own_clock && block(preferred) == Block::Watchdog;
         let count = if is_slow { WATCHDOG_BLOCKS..=WATCHDOG_BLOCKS } else { BLOCKS };
         self.list(Part::Block, count, |draw, _| {
@@ -269,7 +277,7 @@ impl SequenceDraw<'_> {
         self.list(Part::Rule, rules..=rules, |draw, number| {
             let number = index * RULES + number as u64;
             let (state, event) =
-                if is_slow { (TIMED_OUT, index / BLOCK_KINDS) } else { (number % STATES, number / STATES) };
+                if is_slow { (TIMED_OUT, turn / SILENCES_EVERY) } else { (number % STATES, number / STATES) };
             let state = draw.choices.given(Some(state as i32), 0..=STATES as i32 - 1) as u64;
             let event = draw.choices.given(Some((event % EVENTS) as i32), 0..=EVENTS as i32 - 1);
             if state != TIMED_OUT || is_slow || !draw.limits.own_clock {
@@ -439,7 +447,7 @@ impl SequenceDraw<'_> {
                 self.repeat(0..=1, |_| ScenarioMessage::Hello {});
             }
             Block::Rejected => self.list(Part::Message, 1..=4, |draw, _| {
-                draw.repeat(1..=5, Self::rejected);
+                draw.repeat(1..=7, |draw| if draw.choices.one_in(4) { draw.uncounted() } else { draw.rejected() });
                 draw.repeat(1..=6, Self::sample);
             }),
             Block::Ignored => {
@@ -591,7 +599,7 @@ impl SequenceDraw<'_> {
     fn boundary(&mut self) {
         let kind = self.choices.below(9);
         self.send(|draw| configure(draw.at_boundary(kind)));
-        if kind == 2 {
+        if kind == 2 && self.choices.one_in(2) {
             // The answer contains the start frequency.
             self.send(|_| ScenarioMessage::Hello {});
             self.send(|_| ScenarioMessage::Safe {});
