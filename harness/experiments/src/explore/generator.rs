@@ -95,7 +95,7 @@ impl Stratum {
             has_noise: index % 7 == 5,
             settings: match index % 10 {
                 3 => Settings::All,
-                8 => Settings::FrequencyLimits,
+                0 | 8 => Settings::FrequencyLimits,
                 _ => Settings::None,
             },
             has_fault: index % 9 == 7,
@@ -328,7 +328,7 @@ fn grid([low, high]: [f64; 2], usual: f64, step: f64) -> RangeInclusive<i32> {
 /// Replaces a course by a sine in its range; with the amplitude 0.25 if it is constant.
 fn add_sine(course: &mut Course, full_rate: f64, frequency_tenths: u32) {
     let [low, high] = course.range().map(|value| value / 100.0);
-    let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
+    let amplitude = if high > low { ((high - low) * 50.0).round() / 100.0 } else { 0.25 };
     let mean = f64::midpoint(low, high).max(amplitude);
     // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the course
     // stays without a sine.

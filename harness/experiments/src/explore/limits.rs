@@ -32,6 +32,9 @@ const RANGE_RESERVE_HZ: f64 = 2.0;
 /// deviates by some percent.
 const DRIVE_RESERVE: f64 = 0.88;
 
+/// Control periods in which a law measures a plate that it does not know.
+const UNKNOWN_PERIODS: f64 = 7.0;
+
 pub(crate) struct Limits<'a> {
     pub(crate) trial: &'a SceneTrial,
     base: &'a Plate,
@@ -135,7 +138,7 @@ impl<'a> Limits<'a> {
         let designed = designed.max(REQUIRED_S);
         let learning = match knowledge {
             Knowledge::Settled => 1.0,
-            Knowledge::Unknown => 7.0,
+            Knowledge::Unknown => UNKNOWN_PERIODS,
         };
         let controlled = designed.max(FLOOR_FACTOR * floor) + learning * self.period_s;
         self.wait(time_us) + self.delay_s + controlled
@@ -146,8 +149,8 @@ impl<'a> Limits<'a> {
     pub(crate) fn recovery_of_force(&self, from_us: u32, to_us: u32, setpoint: f64) -> f64 {
         let usual = self.settling(to_us, setpoint, setpoint, Knowledge::Unknown);
         let Some(own) = self.properties.own.filter(|_| from_us == to_us) else { return usual };
-        let touch = OWN_LAW_FACTOR * seconds(own.steps_at(self.trial.period_us).touch_us) + 2.0 * self.period_s;
-        usual.min(self.wait(to_us) + self.delay_s + touch.max(REQUIRED_S + self.period_s))
+        let touch = OWN_LAW_FACTOR * seconds(own.steps_at(self.trial.period_us).touch_us);
+        usual.min(self.wait(to_us) + self.delay_s + touch.max(REQUIRED_S) + UNKNOWN_PERIODS * self.period_s)
     }
 
     /// Time in which the configured slew limit permits a change of the frequency by `hz`, with a

@@ -80,9 +80,12 @@ impl SequenceDraw<'_> {
             0 => change.watchdog_timeout_ms = Some(self.choices.pick(&LONG_TIMEOUTS_MS, 1_000)),
             1 => change.period_us = Some(self.choices.pick(&[255, 256, 300, 4_000, 16_383, 20_000], 300)),
             2 => {
-                change.start_frequency_mhz = Some(self.choices.pick(&START_FREQUENCIES_MHZ, 1));
-                // The frequencies of the commands are then known, whatever the law is.
-                change.frequency_range_hz = Some(number(SMALLEST_RANGE_HZ));
+                let start = self.choices.pick(&START_FREQUENCIES_MHZ, 1);
+                change.start_frequency_mhz = Some(start);
+                // The frequencies of the commands are then known, whatever the law is. At the ends of the
+                // field they may leave it.
+                let is_end = [1, u32::MAX].contains(&start);
+                change.frequency_range_hz = (!is_end).then(|| number(SMALLEST_RANGE_HZ));
             }
             3 => change.drive_limit_vpp = Some(self.one_number(&[0.125, 1.0, 6_553.5, 65_536.25, 1e6])),
             4 => change.frequency_range_hz = Some(self.one_number(&[0.001, 0.05, 3.75, 65.536, 5_000.0])),

@@ -247,6 +247,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let mut mismatch = limits.initial_mismatch();
     let mut moved_hz = limits.initial_detuning_hz();
     let mut last_from_us = 0;
+    let mut is_touched_at_rest = false;
     for window in windows(trial) {
         let change = window.change;
         let since_last = last_from_us..=change.from_us;
@@ -267,7 +268,16 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
             (is_known, was_steady, mismatch) = (false, false, f64::max(mismatch, UNKNOWN_MISMATCH));
             continue;
         }
-        let judge = WindowJudge { limits: &limits, trial, window, is_known, was_steady, mismatch, moved_hz };
+        let judge = WindowJudge {
+            limits: &limits,
+            trial,
+            window,
+            is_known,
+            was_steady,
+            is_touched_at_rest,
+            mismatch,
+            moved_hz,
+        };
         judge.add_demands(&mut demands);
         if change.force || change.temperature {
             is_known = false;
@@ -279,6 +289,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
             mismatch *= limits.tracking_remainder(window.quiet_us());
             moved_hz *= limits.tracking_remainder(window.quiet_us());
         }
+        is_touched_at_rest = !is_driven && (is_touched_at_rest || change.force);
         // At rest the law measures neither damping nor resonance.
         is_known |= was_steady && is_driven;
     }
@@ -294,6 +305,9 @@ struct WindowJudge<'a> {
     is_known: bool,
     /// True if the previous window was long enough to settle.
     was_steady: bool,
+    /// True if the force changed during the rest before. The law drives for another damping until it
+    /// has measured it, so that the amplitude may overshoot in proportion.
+    is_touched_at_rest: bool,
     /// Relative error of the damping that the law assumes at the end of the change.
     mismatch: f64,
     /// Sum of the changes of the resonance that the law has not tracked yet.
@@ -385,6 +399,9 @@ impl WindowJudge<'_> {
         }
         let is_known = self.is_known && before > 0.0;
         // An own law may hold Wd, so |W| overshoots until the frequency is at the resonance.
+        if self.is_touched_at_rest {
+            return;
+        }
         if self.window.quiet_us() > 2 * self.trial.period_us && (is_known || !self.is_own()) {
             let of_step = match is_known {
                 true if self.is_own() => OWN_OVERSHOOT_PERCENT,

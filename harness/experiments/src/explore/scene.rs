@@ -377,22 +377,28 @@ pub(crate) enum Settings {
     FrequencyLimits,
 }
 
-/// A setting that may be present is present in the second of these parts of the scenes.
+/// A setting is present in the second of these parts of the scenes, if all may be present or those of
+/// the frequency only.
 const SETTING_PARTS: [u32; 2] = [6, 4];
+const FREQUENCY_PARTS: [u32; 2] = [1, 3];
 
 impl Tuning {
     pub(crate) fn draw(choices: &mut Choices, ranges: &Ranges, settings: Settings) -> Self {
         // 0: no setting; otherwise 1 more than the distance from the end of the range.
         let mut setting = |[low, high]: [f64; 2], scale: f64, is_frequency: bool| {
-            let may_be_present = settings == Settings::All || (is_frequency && settings != Settings::None);
+            let parts = match settings {
+                Settings::All => Some(SETTING_PARTS),
+                Settings::FrequencyLimits => Some(FREQUENCY_PARTS).filter(|_| is_frequency),
+                Settings::None => None,
+            };
             let [low, high] = [low, high].map(|end| (end * scale) as i32);
             let value = choices.number(0..=high - low + 1, |random| {
-                if !may_be_present || weighted(random, &SETTING_PARTS) == 0 {
+                if parts.is_none_or(|parts| weighted(random, &parts) == 0) {
                     return 0;
                 }
                 // Tight limits of the frequency have the largest effect.
                 let share = f64::from(uniform(random, &(0..=1_000))) / 1e3;
-                let share = if is_frequency { share * share } else { share };
+                let share = if is_frequency { share.powi(3) } else { share };
                 1 + (f64::from(high - low) * share).round() as i32
             });
             (value > 0).then_some((low + value - 1).unsigned_abs())

@@ -598,8 +598,9 @@ impl SequenceDraw<'_> {
     /// An accepted configuration at a boundary of one field.
     fn boundary(&mut self) {
         let kind = self.choices.below(9);
-        self.send(|draw| configure(draw.at_boundary(kind)));
-        if kind == 2 && self.choices.one_in(2) {
+        let change = self.at_boundary(kind);
+        self.send(|_| configure(change));
+        if kind == 2 && change.frequency_range_hz.is_none() {
             // The answer contains the start frequency.
             self.send(|_| ScenarioMessage::Hello {});
             self.send(|_| ScenarioMessage::Safe {});

@@ -84,7 +84,7 @@ const STAIR_TENTHS: u32 = 7;
 const MAX_RAMP_S: f64 = 0.1;
 const MAX_SETPOINT_RAMP_S: f64 = 0.3;
 /// Time at the slew limit that doubles the quiet times, s.
-const SLEW_STRETCH_S: f64 = 0.05;
+const SLEW_STRETCH_S: f64 = 0.03;
 /// Weight of no force and no change of temperature against 11 of all other values, at the start of a
 /// trial, and later, so that a finger often leaves.
 const AT_START: u32 = 15;
