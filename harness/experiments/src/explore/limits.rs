@@ -159,15 +159,18 @@ impl<'a> Limits<'a> {
         SLEW_FACTOR * self.trial.tuning.slew_time_s(hz, self.trial.period_us)
     }
 
-    /// True if the law can hold the setpoint at `time_us`: the resonance is in the configured range of
-    /// the frequency, and the drive limit has a reserve.
-    pub(crate) fn is_in_reach(&self, time_us: u32) -> bool {
+    /// True if the drive limit has a reserve for the setpoint at `time_us`.
+    pub(crate) fn has_drive(&self, time_us: u32) -> bool {
+        self.mode(time_us).drive_for(self.trial.setpoint_at(time_us)) <= DRIVE_RESERVE * self.limit_vpp()
+    }
+
+    /// True if the resonance at `time_us` is in the configured range of the frequency.
+    pub(crate) fn is_in_range(&self, time_us: u32) -> bool {
         let mode = self.mode(time_us);
         let start_hz = f64::from(self.trial.start_frequency_tenths) / 10.0;
         let detuning_hz = (mode.omega0 / TAU - start_hz).abs();
         let range = self.trial.tuning.range_tenths.map(|tenths| f64::from(tenths) / 10.0 - RANGE_RESERVE_HZ);
-        let drive = mode.drive_for(self.trial.setpoint_at(time_us));
-        range.is_none_or(|range| detuning_hz <= range) && drive <= DRIVE_RESERVE * self.limit_vpp()
+        range.is_none_or(|range| detuning_hz <= range)
     }
 
     /// Time after a change until its effect is small compared with the limits of steady state.

@@ -248,6 +248,8 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let mut moved_hz = limits.initial_detuning_hz();
     let mut last_from_us = 0;
     let mut is_touched_at_rest = false;
+    // True if the amplitude was steady at the drive limit.
+    let mut was_limited = false;
     for window in windows(trial) {
         let change = window.change;
         let since_last = last_from_us..=change.from_us;
@@ -263,9 +265,11 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         if limits.properties.steers && resembles_late_drive(trial, change) {
             break;
         }
-        if is_own && !limits.is_in_reach(change.to_us) {
+        let is_in_range = limits.is_in_range(change.to_us);
+        if is_own && !(is_in_range && limits.has_drive(change.to_us)) {
             // The law knows neither damping nor resonance after a time at a limit.
             (is_known, was_steady, mismatch) = (false, false, f64::max(mismatch, UNKNOWN_MISMATCH));
+            was_limited = is_in_range && window.quiet_us() >= to_us(limits.decay_at_rest(change.to_us));
             continue;
         }
         let judge = WindowJudge {
@@ -275,10 +279,12 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
             is_known,
             was_steady,
             is_touched_at_rest,
+            was_limited,
             mismatch,
             moved_hz,
         };
         judge.add_demands(&mut demands);
+        was_limited = false;
         if change.force || change.temperature {
             is_known = false;
         }
@@ -308,6 +314,8 @@ struct WindowJudge<'a> {
     /// True if the force changed during the rest before. The law drives for another damping until it
     /// has measured it, so that the amplitude may overshoot in proportion.
     is_touched_at_rest: bool,
+    /// True if the amplitude was steady below the setpoint, at the drive limit.
+    was_limited: bool,
     /// Relative error of the damping that the law assumes at the end of the change.
     mismatch: f64,
     /// Sum of the changes of the resonance that the law has not tracked yet.
@@ -387,7 +395,7 @@ impl WindowJudge<'_> {
     fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
         let PropertyWindow { change, until_us } = self.window;
         let is_first = change.from_us == 0;
-        if !(is_first || self.was_steady) {
+        if !(is_first || self.was_steady || self.was_limited) {
             return;
         }
         let is_forgotten = before == 0.0 && self.limits.properties.steers;

@@ -385,10 +385,10 @@ const FREQUENCY_PARTS: [u32; 2] = [1, 3];
 impl Tuning {
     pub(crate) fn draw(choices: &mut Choices, ranges: &Ranges, settings: Settings) -> Self {
         // 0: no setting; otherwise 1 more than the distance from the end of the range.
-        let mut setting = |[low, high]: [f64; 2], scale: f64, is_frequency: bool| {
+        let mut setting = |[low, high]: [f64; 2], scale: f64, power: i32| {
             let parts = match settings {
                 Settings::All => Some(SETTING_PARTS),
-                Settings::FrequencyLimits => Some(FREQUENCY_PARTS).filter(|_| is_frequency),
+                Settings::FrequencyLimits => Some(FREQUENCY_PARTS).filter(|_| power > 1),
                 Settings::None => None,
             };
             let [low, high] = [low, high].map(|end| (end * scale) as i32);
@@ -397,16 +397,15 @@ impl Tuning {
                     return 0;
                 }
                 // Tight limits of the frequency have the largest effect.
-                let share = f64::from(uniform(random, &(0..=1_000))) / 1e3;
-                let share = if is_frequency { share.powi(3) } else { share };
+                let share = (f64::from(uniform(random, &(0..=1_000))) / 1e3).powi(power);
                 1 + (f64::from(high - low) * share).round() as i32
             });
             (value > 0).then_some((low + value - 1).unsigned_abs())
         };
-        let response_tenths = setting(ranges.response_time_ms, 10.0, false);
-        let range_tenths = setting(ranges.frequency_range_hz, 10.0, true);
-        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0, true);
-        let amplitude = setting(ranges.configured_gains_percent, 1.0, false);
+        let response_tenths = setting(ranges.response_time_ms, 10.0, 1);
+        let range_tenths = setting(ranges.frequency_range_hz, 10.0, 2);
+        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0, 5);
+        let amplitude = setting(ranges.configured_gains_percent, 1.0, 1);
         let [low, high] = ranges.configured_gains_percent.map(|percent| percent as i32);
         let gains_percent = amplitude.map(|amplitude| [amplitude, choices.integer(low..=high).unsigned_abs()]);
         Self { response_tenths, gains_percent, range_tenths, slew_tenths }
