@@ -283,7 +283,7 @@ impl Generator<'_> {
         let detunings = grid(self.envelope.range.start_frequency_offset_hz, 0.0, DETUNING_STEP_HZ);
         let ends = [*detunings.start(), *detunings.end()];
         // The frequency moves in scenes with limits of the frequency.
-        let parts = if stratum.settings == Settings::FrequencyLimits { [1, 7, 2, 2] } else { [4, 6, 1, 1] };
+        let parts = if stratum.settings == Settings::FrequencyLimits { [1, 4, 3, 3] } else { [4, 6, 1, 1] };
         let detuning = choices.number(detunings.clone(), |random| match weighted(random, &parts) {
             0 => 0,
             1 => uniform(random, &detunings),

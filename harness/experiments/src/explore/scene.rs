@@ -377,18 +377,20 @@ pub(crate) enum Settings {
     FrequencyLimits,
 }
 
-/// A setting is present in the second of these parts of the scenes, if all may be present or those of
-/// the frequency only.
+/// A setting is present in the second of these parts of the scenes, if all settings may be present.
 const SETTING_PARTS: [u32; 2] = [6, 4];
-const FREQUENCY_PARTS: [u32; 2] = [1, 3];
+/// As [`SETTING_PARTS`], for range, slew limit and other settings, if only the first two may be present.
+const RANGE_PARTS: [u32; 2] = [2, 1];
+const SLEW_PARTS: [u32; 2] = [0, 1];
+const OTHER_PARTS: [u32; 2] = [1, 0];
 
 impl Tuning {
     pub(crate) fn draw(choices: &mut Choices, ranges: &Ranges, settings: Settings) -> Self {
         // 0: no setting; otherwise 1 more than the distance from the end of the range.
-        let mut setting = |[low, high]: [f64; 2], scale: f64, power: i32| {
+        let mut setting = |[low, high]: [f64; 2], scale: f64, power: i32, frequency_parts: [u32; 2]| {
             let parts = match settings {
                 Settings::All => Some(SETTING_PARTS),
-                Settings::FrequencyLimits => Some(FREQUENCY_PARTS).filter(|_| power > 1),
+                Settings::FrequencyLimits => Some(frequency_parts),
                 Settings::None => None,
             };
             let [low, high] = [low, high].map(|end| (end * scale) as i32);
@@ -402,10 +404,10 @@ impl Tuning {
             });
             (value > 0).then_some((low + value - 1).unsigned_abs())
         };
-        let response_tenths = setting(ranges.response_time_ms, 10.0, 1);
-        let range_tenths = setting(ranges.frequency_range_hz, 10.0, 2);
-        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0, 5);
-        let amplitude = setting(ranges.configured_gains_percent, 1.0, 1);
+        let response_tenths = setting(ranges.response_time_ms, 10.0, 1, OTHER_PARTS);
+        let range_tenths = setting(ranges.frequency_range_hz, 10.0, 2, RANGE_PARTS);
+        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0, 5, SLEW_PARTS);
+        let amplitude = setting(ranges.configured_gains_percent, 1.0, 1, OTHER_PARTS);
         let [low, high] = ranges.configured_gains_percent.map(|percent| percent as i32);
         let gains_percent = amplitude.map(|amplitude| [amplitude, choices.integer(low..=high).unsigned_abs()]);
         Self { response_tenths, gains_percent, range_tenths, slew_tenths }
