@@ -26,6 +26,9 @@ pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
 const MAX_OVERLOAD: f64 = 2.0;
 /// Fewest control periods after the last event of a judged and of an earlier trial.
 const TAIL_PERIODS: [u32; 2] = [10, 1];
+/// Smallest setpoint of an own law with a relation, nm. It may calculate in steps of a fixed size, and
+/// identifies the plate worse from smaller amplitudes.
+const OWN_RELATION_NM: i32 = 100;
 /// Number of events of an earlier trial.
 const EARLIER_EVENTS: [u32; 2] = [1, 2];
 
@@ -85,11 +88,17 @@ impl Stratum {
         }
         let pair = index.wrapping_mul(PAIR_STRIDE) % PAIRS;
         let kinds = EventKind::ALL.len() as u64;
+        let is_overloaded = index % 11 == 6;
         let kind = |number: u64| EventKind::ALL.get(number as usize).copied();
         Self {
             period: index % 5,
-            limit: index % 4,
-            kinds: [kind(pair / kinds), kind(pair % kinds)].into_iter().flatten().collect(),
+            // Few setpoints need the largest limits.
+            limit: if is_overloaded { 1 } else { index % 4 },
+            // A step shows how a law leaves its drive limit.
+            kinds: [kind(if is_overloaded { 0 } else { pair / kinds }), kind(pair % kinds)]
+                .into_iter()
+                .flatten()
+                .collect(),
             gaps: Vec::new(),
             has_history: index % 3 == 1,
             has_noise: index % 7 == 5,
@@ -99,7 +108,7 @@ impl Stratum {
                 _ => Settings::None,
             },
             has_fault: index % 9 == 7,
-            is_overloaded: index % 11 == 6,
+            is_overloaded,
             is_overloaded_before: index % 5 == 2,
             is_long: index % LONG_EVERY == LONG_AT,
             sine: match index % (2 * SINE_EVERY) {
@@ -189,7 +198,10 @@ impl Generator<'_> {
         // A law that steers chooses its phase by the measured W, not by the predicted one.
         let compensates =
             trial.law.properties().is_some_and(|properties| properties.compensates_delay && !properties.steers);
+        let levels = trial.setpoint.points().iter().map(|(_, level)| *level);
+        let is_resolved = levels.filter(|level| *level > 0).all(|level| level >= OWN_RELATION_NM);
         is_equal
+            && (is_resolved || !trial.law.is_own())
             && match relation {
                 // An own law may saturate in its own way.
                 Relation::Proportional => !trial.law.is_own() || trial.setpoint.range()[1] <= reach.into(),

@@ -98,7 +98,7 @@ fn the_reference_finds_what_the_limits_allow(#[case] compares_reference: bool, #
 
 #[test]
 fn a_mutant_is_found_and_its_scene_shrinks_to_one_level() {
-    let config = ExploreConfig { max_failed: 60, ..configuration(LawId::DqPi, 60) };
+    let config = ExploreConfig { max_failed: 200, ..configuration(LawId::DqPi, 200) };
     let cancel = CancelToken::never();
     let result = explore(&config, &mutant, &cancel, &SafeEnds::default(), &mut |_, _| {}).unwrap();
     // The first level is in the wrong entry, and no other change is needed.
