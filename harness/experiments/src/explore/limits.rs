@@ -294,6 +294,7 @@ pub struct OwnLaw {
 /// Times that an own law took at one control period, on a plate that it knows from a steady state.
 /// The largest number stands for a step that never came within 5 %.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
+#[expect(clippy::struct_field_names, reason = "all are times in µs")]
 pub struct OwnSteps {
     pub period_us: u32,
     /// From a step of the setpoint until the amplitude is within 5 %, without and with the finger.

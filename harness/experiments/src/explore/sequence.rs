@@ -26,9 +26,6 @@ const RULES: u64 = 3;
 const TIMED_OUT: u64 = 3;
 /// Number of blocks with silences of a sequence in wall time.
 const WATCHDOG_BLOCKS: u32 = 3;
-/// In wall time, one in this many of the sequences that prefer silences has them. They wait for more
-/// than a second, a hundred times as long as other sequences.
-const SILENCES_EVERY: u64 = 3;
 /// A sequence of this many starts before the first configuration.
 const FIRST_MESSAGES_EVERY: u64 = 11;
 /// A sequence of this many has a long run.
@@ -250,12 +247,7 @@ impl SequenceDraw<'_> {
     }
 
     fn blocks(&mut self, index: u64) {
-        let mut preferred = (index % BLOCK_KINDS) as i32;
-        let turn = index / BLOCK_KINDS;
-        if self.limits.own_clock && block(preferred) == Block::Watchdog && !turn.is_multiple_of(SILENCES_EVERY) {
-            preferred = Block::Rejected as i32;
-        }
-        let preferred = self.choices.given(Some(preferred), BLOCK_NUMBERS);
+        let preferred = self.choices.given(Some((index % BLOCK_KINDS) as i32), BLOCK_NUMBERS);
         let is_slow = self.limits.own_clock && block(preferred) == Block::Watchdog;
         let count = if is_slow { WATCHDOG_BLOCKS..=WATCHDOG_BLOCKS } else { BLOCKS };
         self.list(Part::Block, count, |draw, _| {
@@ -277,7 +269,7 @@ impl SequenceDraw<'_> {
         self.list(Part::Rule, rules..=rules, |draw, number| {
             let number = index * RULES + number as u64;
             let (state, event) =
-                if is_slow { (TIMED_OUT, turn / SILENCES_EVERY) } else { (number % STATES, number / STATES) };
+                if is_slow { (TIMED_OUT, index / BLOCK_KINDS) } else { (number % STATES, number / STATES) };
             let state = draw.choices.given(Some(state as i32), 0..=STATES as i32 - 1) as u64;
             let event = draw.choices.given(Some((event % EVENTS) as i32), 0..=EVENTS as i32 - 1);
             if state != TIMED_OUT || is_slow || !draw.limits.own_clock {
