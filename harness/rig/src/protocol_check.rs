@@ -173,6 +173,8 @@ pub fn check_protocol(
     } else {
         vec![message_script(messages, base)]
     };
+    // A second attempt needs a configuration that clears the state of the first one.
+    let is_repeatable = matches!(messages.first(), None | Some(ScenarioMessage::Configure(_)));
     let mut late_attempts = LATE_ATTEMPTS;
     for script in scripts {
         if cancel.is_cancelled() {
@@ -189,7 +191,7 @@ pub fn check_protocol(
             let is_stalled = other_cause == Some(BenchCause::Stall);
             let has_time = attempt < ATTEMPTS || (is_stalled && started.elapsed() < STALL_REPEATS);
             let is_late = other_cause == Some(BenchCause::LateAnswer) && late_attempts > 0;
-            if cancel.is_cancelled() || !may_repeat(other_cause) || !(has_time || is_late) {
+            if cancel.is_cancelled() || !is_repeatable || !may_repeat(other_cause) || !(has_time || is_late) {
                 break;
             }
             late_attempts -= u32::from(!has_time);
@@ -199,6 +201,7 @@ pub fn check_protocol(
         match found {
             None => {}
             Some((_, Some(BenchCause::Stall))) => check.undecided.push(script.name),
+            Some((_, Some(BenchCause::LateAnswer))) if !is_repeatable => check.undecided.push(script.name),
             Some((difference, _)) => check.differences.push(difference),
         }
     }

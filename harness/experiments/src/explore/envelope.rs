@@ -158,6 +158,14 @@ impl Envelope {
     }
 }
 
+impl Envelope {
+    /// Drive limit of the plate file, limited to the range, Vpp.
+    pub(crate) fn usual_limit_vpp(&self) -> f64 {
+        let [low, high] = self.range.drive_limit_vpp;
+        self.plate.drive_limit_vpp.min(high).max(low).round()
+    }
+}
+
 impl RawEnvelope {
     fn check(&self, checker: &mut FileChecker) {
         checker.require_one_line("title", &self.title);

@@ -4,8 +4,8 @@
 use crate::explore::choices::{Choice, Choices, DrawLists, Drawn, Part, uniform, weighted};
 use crate::explore::envelope::Envelope;
 use crate::explore::limits::ExploredLaw;
-use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, Tuning};
-use crate::explore::timeline::{ENDURANCE, ENDURANCE_REST_MS, EventKind, GapKind, Timeline};
+use crate::explore::scene::{Course, LineFault, PlateChoice, Relation, Scene, SceneTrial, Settings, Tuning};
+use crate::explore::timeline::{ENDURANCE_CHANGES, ENDURANCE_REST_MS, EventKind, GapKind, Timeline};
 use platebench_wire::LawId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -26,9 +26,11 @@ pub(crate) const MAX_STEADY_DRIVE: f64 = 0.8;
 const MAX_OVERLOAD: f64 = 2.0;
 /// Fewest control periods after the last event of a judged and of an earlier trial.
 const TAIL_PERIODS: [u32; 2] = [10, 1];
-/// Number of events of an earlier trial and of a long trial.
+/// Smallest setpoint of an own law with a relation, nm. It may calculate in steps of a fixed size, and
+/// identifies the plate worse from smaller amplitudes.
+const OWN_RELATION_NM: i32 = 100;
+/// Number of events of an earlier trial.
 const EARLIER_EVENTS: [u32; 2] = [1, 2];
-const ENDURANCE_EVENTS: [u32; 2] = [2, 3];
 
 /// Properties of a scene that its number determines. All other properties are drawn.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -36,15 +38,15 @@ const ENDURANCE_EVENTS: [u32; 2] = [2, 3];
 pub(crate) struct Stratum {
     /// Choice of the control period. 0: usual; 1: shortest; 2: longest; larger numbers: drawn.
     period: u64,
-    /// Choice of the drive limit. 0: largest; 1: smallest; larger numbers: drawn.
+    /// Choice of the drive limit. 0: that of the plate; 1: smallest; 2: largest; larger numbers: drawn.
     limit: u64,
     /// Kinds of the first events, and the time before each if it is not drawn.
     pub(crate) kinds: Vec<EventKind>,
     pub(crate) gaps: Vec<(GapKind, i32)>,
     has_history: bool,
     has_noise: bool,
-    /// True if the configuration has its own response time, gains, frequency range or slew limit.
-    is_tuned: bool,
+    /// Settings that the configuration may have.
+    settings: Settings,
     has_fault: bool,
     /// True if setpoints of the judged trial may exceed the reach of the drive limit.
     is_overloaded: bool,
@@ -79,23 +81,34 @@ impl Stratum {
     /// Without `has_endurance` no trial is long.
     fn of(index: u64, has_endurance: bool) -> Self {
         if has_endurance && index % ENDURANCE_EVERY == ENDURANCE_AT {
-            let kinds = vec![EventKind::Rest, EventKind::Step];
-            let gaps = vec![(GapKind::Long, ENDURANCE_REST_MS), (GapKind::Sample, ENDURANCE)];
+            let later = ENDURANCE_CHANGES.map(|(kind, sample)| (kind, (GapKind::Sample, sample)));
+            let rest = (EventKind::Rest, (GapKind::Long, ENDURANCE_REST_MS));
+            let (kinds, gaps) = [rest].into_iter().chain(later).unzip();
             return Self { kinds, gaps, ..Self::default() };
         }
         let pair = index.wrapping_mul(PAIR_STRIDE) % PAIRS;
         let kinds = EventKind::ALL.len() as u64;
+        let is_overloaded = index % 11 == 6;
         let kind = |number: u64| EventKind::ALL.get(number as usize).copied();
         Self {
             period: index % 5,
-            limit: index % 4,
-            kinds: [kind(pair / kinds), kind(pair % kinds)].into_iter().flatten().collect(),
+            // Few setpoints need the largest limits.
+            limit: if is_overloaded { 1 } else { index % 4 },
+            // A step shows how a law leaves its drive limit.
+            kinds: [kind(if is_overloaded { 0 } else { pair / kinds }), kind(pair % kinds)]
+                .into_iter()
+                .flatten()
+                .collect(),
             gaps: Vec::new(),
             has_history: index % 3 == 1,
             has_noise: index % 7 == 5,
-            is_tuned: index % 5 == 3,
+            settings: match index % 10 {
+                3 => Settings::All,
+                0 | 8 => Settings::FrequencyLimits,
+                _ => Settings::None,
+            },
             has_fault: index % 9 == 7,
-            is_overloaded: index % 13 == 6,
+            is_overloaded,
             is_overloaded_before: index % 5 == 2,
             is_long: index % LONG_EVERY == LONG_AT,
             sine: match index % (2 * SINE_EVERY) {
@@ -113,7 +126,8 @@ impl Stratum {
     fn of_earlier_trials(&self) -> Self {
         let Self { has_noise, is_overloaded_before, .. } = *self;
         let is_overloaded = is_overloaded_before;
-        Self { period: u64::MAX, limit: u64::MAX, is_tuned: true, has_noise, is_overloaded, ..Self::default() }
+        let settings = Settings::All;
+        Self { period: u64::MAX, limit: u64::MAX, settings, has_noise, is_overloaded, ..Self::default() }
     }
 }
 
@@ -184,7 +198,10 @@ impl Generator<'_> {
         // A law that steers chooses its phase by the measured W, not by the predicted one.
         let compensates =
             trial.law.properties().is_some_and(|properties| properties.compensates_delay && !properties.steers);
+        let levels = trial.setpoint.points().iter().map(|(_, level)| *level);
+        let is_resolved = levels.filter(|level| *level > 0).all(|level| level >= OWN_RELATION_NM);
         is_equal
+            && (is_resolved || !trial.law.is_own())
             && match relation {
                 // An own law may saturate in its own way.
                 Relation::Proportional => !trial.law.is_own() || trial.setpoint.range()[1] <= reach.into(),
@@ -224,8 +241,14 @@ impl Generator<'_> {
         let [delay_low, delay_high] = range.loop_delay_periods.map(|periods| (periods * 20.0) as i32);
         let delay = choices.mostly(delay_low, [6, 4], delay_low..=delay_high).unsigned_abs();
         let has_delay = law.properties().is_some_and(|properties| properties.compensates_delay);
-        let most_limit = ((range.drive_limit_vpp[1] - range.drive_limit_vpp[0]) / f64::from(LIMIT_STEP_VPP)) as i32;
-        let limit = choices.given([0, most_limit].get(stratum.limit as usize).copied(), 0..=most_limit);
+        let usual_limit = self.envelope.usual_limit_vpp();
+        let limits = grid(range.drive_limit_vpp, usual_limit, LIMIT_STEP_VPP.into());
+        let limit = [0, *limits.start(), *limits.end()].get(stratum.limit as usize).copied();
+        let [lowest, highest] = range.drive_limit_vpp;
+        let limit = choices.number(limits, |random| {
+            let mut drawn = || lowest * (highest / lowest).powf(f64::from(uniform(random, &(0..=100))) / 100.0);
+            limit.unwrap_or_else(|| ((drawn() - usual_limit) / f64::from(LIMIT_STEP_VPP)).round() as i32)
+        });
         let most_noise = (range.noise_um_rms[1] * 1e6 / f64::from(NOISE_STEP_PM) + ROUNDING) as i32;
         let noise = choices.given((!stratum.has_noise).then_some(0), 0..=most_noise);
         let mut deviation = |range: [f64; 2]| {
@@ -233,7 +256,7 @@ impl Generator<'_> {
             choices.mostly(0, [6, 4], grid) * DEVIATION_STEP_PERMILLE
         };
         let plate = PlateChoice {
-            limit_vpp: range.drive_limit_vpp[1] as u32 - (limit * LIMIT_STEP_VPP).unsigned_abs(),
+            limit_vpp: (usual_limit as u32).saturating_add_signed(limit * LIMIT_STEP_VPP),
             noise_pm: (noise * NOISE_STEP_PM).unsigned_abs(),
             nominal_gain_permille: deviation(range.plate_gain_percent),
             nominal_time_constant_permille: deviation(range.plate_time_constant_percent),
@@ -250,7 +273,7 @@ impl Generator<'_> {
             setpoint: Course::zero(),
             force: Course::zero(),
             temperature: Course::zero(),
-            tuning: Tuning::draw(choices, range, stratum.is_tuned),
+            tuning: Tuning::draw(choices, range, stratum.settings),
             faults: Vec::new(),
         }
     }
@@ -271,7 +294,9 @@ impl Generator<'_> {
         let sine_tenths = 10 + choices.integer(0..=40).unsigned_abs() * SINE_STEP_TENTHS;
         let detunings = grid(self.envelope.range.start_frequency_offset_hz, 0.0, DETUNING_STEP_HZ);
         let ends = [*detunings.start(), *detunings.end()];
-        let detuning = choices.number(detunings.clone(), |random| match weighted(random, &[4, 6, 1, 1]) {
+        // The frequency moves in scenes with limits of the frequency.
+        let parts = if stratum.settings == Settings::FrequencyLimits { [1, 4, 3, 3] } else { [4, 6, 1, 1] };
+        let detuning = choices.number(detunings.clone(), |random| match weighted(random, &parts) {
             0 => 0,
             1 => uniform(random, &detunings),
             end => ends[usize::from(end == 3)],
@@ -280,7 +305,7 @@ impl Generator<'_> {
         let events = match judged {
             Some(_) => EARLIER_EVENTS,
             None if stratum.gaps.is_empty() => self.envelope.count.events,
-            None => ENDURANCE_EVENTS,
+            None => [0, 0],
         };
         let mut timeline = Timeline::draw(self.envelope, choices, &trial, stratum, events);
         trial.duration_us = timeline.now_us.max(1) + timeline.tail_us().max(least_tail * trial.period_us);
@@ -317,7 +342,7 @@ fn grid([low, high]: [f64; 2], usual: f64, step: f64) -> RangeInclusive<i32> {
 /// Replaces a course by a sine in its range; with the amplitude 0.25 if it is constant.
 fn add_sine(course: &mut Course, full_rate: f64, frequency_tenths: u32) {
     let [low, high] = course.range().map(|value| value / 100.0);
-    let amplitude = if high > low { (high - low) / 2.0 } else { 0.25 };
+    let amplitude = if high > low { ((high - low) * 50.0).round() / 100.0 } else { 0.25 };
     let mean = f64::midpoint(low, high).max(amplitude);
     // The slope of the sine does not exceed the largest rate. If even 0.1 Hz is too fast, the course
     // stays without a sine.

@@ -20,9 +20,20 @@ const HOLD_TIME_CONSTANT_S: f64 = 1e-3;
 
 /// Factor on the measured times of an own law, because other steps and plates take longer.
 const OWN_LAW_FACTOR: f64 = 2.0;
+/// Factor on the shortest time that the slew limit of the frequency permits.
+const SLEW_FACTOR: f64 = 1.5;
 
 /// If the damping changes by more than this share, the law adopts it after two control periods.
 const MAX_MISMATCH: f64 = 0.3;
+
+/// Smallest distance of the resonance from the end of the configured range, Hz.
+const RANGE_RESERVE_HZ: f64 = 2.0;
+/// Largest share of the drive limit that a setpoint in reach needs. Scenes use 80 %, and the plate
+/// deviates by some percent.
+const DRIVE_RESERVE: f64 = 0.88;
+
+/// Control periods in which a law measures a plate that it does not know.
+const UNKNOWN_PERIODS: f64 = 7.0;
 
 pub(crate) struct Limits<'a> {
     pub(crate) trial: &'a SceneTrial,
@@ -116,13 +127,50 @@ impl<'a> Limits<'a> {
     pub(crate) fn settling(&self, time_us: u32, from: f64, to: f64, knowledge: Knowledge) -> f64 {
         let mode = self.mode(time_us);
         let floor = (self.floor(&mode, from, to) / self.period_s).ceil() * self.period_s;
-        let designed = self.decay(&mode, Self::share(from, to, BAND)).max(REQUIRED_S);
+        let share = Self::share(from, to, BAND);
+        let mut designed = self.decay(&mode, share);
+        if let (Some(own), Knowledge::Settled) = (self.properties.own, knowledge) {
+            let known_us = own.steps_at(self.trial.period_us).known_us[usize::from(self.trial.force_at(time_us) > 0.0)];
+            // An exponential is within 5 % after three time constants.
+            let time_constant = (OWN_LAW_FACTOR * seconds(known_us) / 3.0).max(HOLD_TIME_CONSTANT_S);
+            designed = designed.min((-share.ln() * time_constant / self.period_s).ceil() * self.period_s);
+        }
+        let designed = designed.max(REQUIRED_S);
         let learning = match knowledge {
             Knowledge::Settled => 1.0,
-            Knowledge::Unknown => 7.0,
+            Knowledge::Unknown => UNKNOWN_PERIODS,
         };
         let controlled = designed.max(FLOOR_FACTOR * floor) + learning * self.period_s;
         self.wait(time_us) + self.delay_s + controlled
+    }
+
+    /// Largest recovery time after the force has changed from `from_us` to `to_us` at a constant
+    /// temperature.
+    pub(crate) fn recovery_of_force(&self, from_us: u32, to_us: u32, setpoint: f64) -> f64 {
+        let usual = self.settling(to_us, setpoint, setpoint, Knowledge::Unknown);
+        let Some(own) = self.properties.own.filter(|_| from_us == to_us) else { return usual };
+        let touch = OWN_LAW_FACTOR * seconds(own.steps_at(self.trial.period_us).touch_us);
+        usual.min(self.wait(to_us) + self.delay_s + touch.max(REQUIRED_S) + UNKNOWN_PERIODS * self.period_s)
+    }
+
+    /// Time in which the configured slew limit permits a change of the frequency by `hz`, with a
+    /// reserve. 0 with the usual limit, which the measured times of an own law contain.
+    pub(crate) fn slew(&self, hz: f64) -> f64 {
+        SLEW_FACTOR * self.trial.tuning.slew_time_s(hz, self.trial.period_us)
+    }
+
+    /// True if the drive limit has a reserve for the setpoint at `time_us`.
+    pub(crate) fn has_drive(&self, time_us: u32) -> bool {
+        self.mode(time_us).drive_for(self.trial.setpoint_at(time_us)) <= DRIVE_RESERVE * self.limit_vpp()
+    }
+
+    /// True if the resonance at `time_us` is in the configured range of the frequency.
+    pub(crate) fn is_in_range(&self, time_us: u32) -> bool {
+        let mode = self.mode(time_us);
+        let start_hz = f64::from(self.trial.start_frequency_tenths) / 10.0;
+        let detuning_hz = (mode.omega0 / TAU - start_hz).abs();
+        let range = self.trial.tuning.range_tenths.map(|tenths| f64::from(tenths) / 10.0 - RANGE_RESERVE_HZ);
+        range.is_none_or(|range| detuning_hz <= range)
     }
 
     /// Time after a change until its effect is small compared with the limits of steady state.
@@ -239,6 +287,28 @@ pub struct OwnLaw {
     pub steady_us: u32,
     /// From setpoint 0 until the drive is near 0 Vpp.
     pub rest_us: u32,
+    /// Times at the resonance, by control period in ascending order.
+    pub steps: [OwnSteps; 3],
+}
+
+/// Times that an own law took at one control period, on a plate that it knows from a steady state.
+/// The largest number stands for a step that never came within 5 %.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, JsonSchema)]
+#[expect(clippy::struct_field_names, reason = "all are times in µs")]
+pub struct OwnSteps {
+    pub period_us: u32,
+    /// From a step of the setpoint until the amplitude is within 5 %, without and with the finger.
+    pub known_us: [u32; 2],
+    /// From a step of the force until the amplitude is within 5 %.
+    pub touch_us: u32,
+}
+
+impl OwnLaw {
+    /// The times at the next longer measured period.
+    pub(crate) fn steps_at(&self, period_us: u32) -> OwnSteps {
+        let longer = self.steps.iter().find(|steps| steps.period_us >= period_us);
+        longer.or(self.steps.last()).copied().unwrap_or_default()
+    }
 }
 
 /// The law of a trial.

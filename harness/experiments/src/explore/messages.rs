@@ -9,6 +9,8 @@ use std::ops::RangeInclusive;
 const LONG_TIMEOUTS_MS: [u16; 7] = [1_000, 1_023, 1_024, 32_767, 32_768, 40_000, 65_535];
 /// Ends of the range, and numbers that `f32` misses, most by more than the tolerance of 5 mHz.
 const START_FREQUENCIES_MHZ: [u32; 6] = [1, u32::MAX, (1 << 27) + 8, (1 << 30) + 64, (1 << 26) + 4, 0xaaaa_aaab];
+/// Frequency range, Hz, that permits the start frequency only.
+const SMALLEST_RANGE_HZ: f32 = 0.001;
 /// A usable configuration except for a loop delay of 0 with bit 2.
 const ZERO_DELAY: &str = "135a0104 0000e803 000090f9 ec017cb8 e43b556a f63a0000 00000000 61440000 7a430000 \
                           c8420000 00000000 00000000 00000000 00000000 0000";
@@ -77,7 +79,14 @@ impl SequenceDraw<'_> {
         match kind {
             0 => change.watchdog_timeout_ms = Some(self.choices.pick(&LONG_TIMEOUTS_MS, 1_000)),
             1 => change.period_us = Some(self.choices.pick(&[255, 256, 300, 4_000, 16_383, 20_000], 300)),
-            2 => change.start_frequency_mhz = Some(self.choices.pick(&START_FREQUENCIES_MHZ, 1)),
+            2 => {
+                let start = self.choices.pick(&START_FREQUENCIES_MHZ, 1);
+                change.start_frequency_mhz = Some(start);
+                // The frequencies of the commands are then known, whatever the law is. At the ends of the
+                // field they may leave it.
+                let is_end = [1, u32::MAX].contains(&start);
+                change.frequency_range_hz = (!is_end).then(|| number(SMALLEST_RANGE_HZ));
+            }
             3 => change.drive_limit_vpp = Some(self.one_number(&[0.125, 1.0, 6_553.5, 65_536.25, 1e6])),
             4 => change.frequency_range_hz = Some(self.one_number(&[0.001, 0.05, 3.75, 65.536, 5_000.0])),
             5 => change.frequency_slew_hz = Some(self.one_number(&[0.001, 0.014, 1.6, 65.536, 5_000.0])),
@@ -154,6 +163,15 @@ impl SequenceDraw<'_> {
                 zeros(first, 51 - self.choices.below(2))
             }
             _ => ScenarioMessage::Body { hex: ZERO_DELAY.to_owned() },
+        }
+    }
+
+    /// A message that does not change the counter of rejected frames.
+    pub(crate) fn uncounted(&mut self) -> ScenarioMessage {
+        match self.choices.below(4) {
+            0 | 1 => ScenarioMessage::Repeat {},
+            2 => ScenarioMessage::Hello {},
+            _ => self.ignored(),
         }
     }
 

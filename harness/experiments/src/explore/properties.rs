@@ -9,6 +9,7 @@ use platebench_model::scenario::Metric;
 use platebench_plate::Plate;
 use schemars::JsonSchema;
 use serde::Serialize;
+use std::f64::consts::TAU;
 
 #[derive(
     Debug,
@@ -135,6 +136,11 @@ const OWN_REST_DRIVE_VPP: f64 = 1.0;
 const OWN_OVERSHOOT_PERCENT: f64 = 60.0;
 const OWN_STEADY_PERCENT: f64 = 0.3;
 const OWN_STEADY_UM: f64 = 1e-3;
+/// Further additional limits of an own law: frequency, Hz, and resolution of its components, µm.
+const OWN_FREQUENCY_HZ: f64 = 0.25;
+const OWN_RESOLUTION_UM: f64 = 2e-4;
+/// Relative error of the damping that a law may have adopted while it was at a limit.
+const UNKNOWN_MISMATCH: f64 = 0.3;
 const RIPPLE_PERCENT: f64 = 0.25;
 /// Static error and ripple per relative error of the damping, until the law has corrected it.
 const STATIC_OF_MISMATCH: f64 = 0.5;
@@ -210,12 +216,16 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let trial = &scene.judged;
     let Some(properties) = trial.law.properties() else { return Vec::new() };
     let limits = Limits::new(trial, base, properties);
-    // The limits are derived for gains of the law's own design, without tuning.
-    if trial.tuning != Tuning::default() {
+    let is_own = properties.own.is_some();
+    // The limits are derived for gains of the law's own design.
+    let Tuning { range_tenths, slew_tenths, .. } = trial.tuning;
+    let frequency_limits =
+        if is_own { Tuning { range_tenths, slew_tenths, ..Tuning::default() } } else { Tuning::default() };
+    if trial.tuning != frequency_limits {
         return Vec::new();
     }
     // The gain of an own law for noise is unknown.
-    if properties.own.is_some() && trial.plate.noise_pm > 0 {
+    if is_own && trial.plate.noise_pm > 0 {
         return Vec::new();
     }
     let has_sine = [&trial.force, &trial.temperature].iter().any(|course| matches!(course, Course::Sine { .. }));
@@ -227,7 +237,7 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         return Vec::new();
     }
     let highest = trial.largest_setpoint_nm(base, MAX_STEADY_DRIVE);
-    if trial.setpoint.range()[1] > f64::from(highest) {
+    if !is_own && trial.setpoint.range()[1] > f64::from(highest) {
         return Vec::new();
     }
     let mut demands = Vec::new();
@@ -237,6 +247,9 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
     let mut mismatch = limits.initial_mismatch();
     let mut moved_hz = limits.initial_detuning_hz();
     let mut last_from_us = 0;
+    let mut is_touched_at_rest = false;
+    // True if the amplitude was steady at the drive limit.
+    let mut was_limited = false;
     for window in windows(trial) {
         let change = window.change;
         let since_last = last_from_us..=change.from_us;
@@ -252,17 +265,37 @@ pub fn demands(scene: &Scene, base: &Plate) -> Vec<Demand> {
         if limits.properties.steers && resembles_late_drive(trial, change) {
             break;
         }
-        let judge = WindowJudge { limits: &limits, trial, window, is_known, was_steady, mismatch, moved_hz };
+        let is_in_range = limits.is_in_range(change.to_us);
+        if is_own && !(is_in_range && limits.has_drive(change.to_us)) {
+            // The law knows neither damping nor resonance after a time at a limit.
+            (is_known, was_steady, mismatch) = (false, false, f64::max(mismatch, UNKNOWN_MISMATCH));
+            was_limited = is_in_range && window.quiet_us() >= to_us(limits.decay_at_rest(change.to_us));
+            continue;
+        }
+        let judge = WindowJudge {
+            limits: &limits,
+            trial,
+            window,
+            is_known,
+            was_steady,
+            is_touched_at_rest,
+            was_limited,
+            mismatch,
+            moved_hz,
+        };
         judge.add_demands(&mut demands);
+        was_limited = false;
         if change.force || change.temperature {
             is_known = false;
         }
         let is_driven = trial.setpoint_at(change.to_us) > 0.0;
-        if is_driven {
+        was_steady = window.quiet_us() >= judge.steady_us();
+        // At the slew limit the remaining detuning is unknown.
+        if is_driven && (was_steady || trial.tuning == Tuning::default()) {
             mismatch *= limits.tracking_remainder(window.quiet_us());
             moved_hz *= limits.tracking_remainder(window.quiet_us());
         }
-        was_steady = window.quiet_us() >= judge.steady_us();
+        is_touched_at_rest = !is_driven && (is_touched_at_rest || change.force);
         // At rest the law measures neither damping nor resonance.
         is_known |= was_steady && is_driven;
     }
@@ -278,6 +311,11 @@ struct WindowJudge<'a> {
     is_known: bool,
     /// True if the previous window was long enough to settle.
     was_steady: bool,
+    /// True if the force changed during the rest before. The law drives for another damping until it
+    /// has measured it, so that the amplitude may overshoot in proportion.
+    is_touched_at_rest: bool,
+    /// True if the amplitude was steady below the setpoint, at the drive limit.
+    was_limited: bool,
     /// Relative error of the damping that the law assumes at the end of the change.
     mismatch: f64,
     /// Sum of the changes of the resonance that the law has not tracked yet.
@@ -305,7 +343,7 @@ impl WindowJudge<'_> {
         if after == 0.0 {
             return to_us(self.limits.decay_at_rest(self.window.change.to_us));
         }
-        to_us(self.limits.steady(self.window.change.to_us, before, after))
+        to_us(self.limits.steady(self.window.change.to_us, before, after) + self.limits.slew(self.moved_hz))
     }
 
     fn add_demands(&self, demands: &mut Vec<Demand>) {
@@ -357,17 +395,21 @@ impl WindowJudge<'_> {
     fn add_step(&self, demands: &mut Vec<Demand>, before: f64, after: f64) {
         let PropertyWindow { change, until_us } = self.window;
         let is_first = change.from_us == 0;
-        if !(is_first || self.was_steady) {
+        if !(is_first || self.was_steady || self.was_limited) {
             return;
         }
         let is_forgotten = before == 0.0 && self.limits.properties.steers;
         let knowledge = if self.is_known && !is_forgotten { Knowledge::Settled } else { Knowledge::Unknown };
-        let allowed = self.limits.settling(change.to_us, before, after, knowledge);
+        let slew = if knowledge == Knowledge::Settled { 0.0 } else { self.limits.slew(self.moved_hz) };
+        let allowed = self.limits.settling(change.to_us, before, after, knowledge) + slew;
         if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
             demands.push(self.demand(Property::Settling, change.to_us, until_us, allowed * 1e3));
         }
         let is_known = self.is_known && before > 0.0;
         // An own law may hold Wd, so |W| overshoots until the frequency is at the resonance.
+        if self.is_touched_at_rest {
+            return;
+        }
         if self.window.quiet_us() > 2 * self.trial.period_us && (is_known || !self.is_own()) {
             let of_step = match is_known {
                 true if self.is_own() => OWN_OVERSHOOT_PERCENT,
@@ -404,7 +446,11 @@ impl WindowJudge<'_> {
         if !self.was_steady {
             return;
         }
-        let allowed = self.limits.settling(change.to_us, level, level, Knowledge::Unknown);
+        let allowed = if change.temperature {
+            self.limits.settling(change.to_us, level, level, Knowledge::Unknown) + self.limits.slew(self.moved_hz)
+        } else {
+            self.limits.recovery_of_force(change.from_us, change.to_us, level)
+        };
         if self.window.quiet_us() > to_us(allowed) + self.trial.period_us {
             demands.push(self.demand(Property::Recovery, change.to_us, until_us, allowed * 1e3));
         }
@@ -434,7 +480,9 @@ impl WindowJudge<'_> {
         // tan φ = Δω/σ: an error of the phase looks like a detuning.
         let noise_hz = self.limits.frequency_of_phase(change.to_us, noise / 100.0);
         let own_percent = self.own_percent(level);
-        let own_hz = if self.is_own() { FREQUENCY_ERROR_HZ } else { 0.0 };
+        // tan φ = Δω/σ: an error of a component looks like a detuning too.
+        let resolution_hz = self.limits.mode(change.to_us).sigma / TAU * OWN_RESOLUTION_UM / level;
+        let own_hz = if self.is_own() { OWN_FREQUENCY_HZ + resolution_hz } else { 0.0 };
         let pairs = [
             (Property::StaticError, STATIC_ERROR_PERCENT + STATIC_OF_MISMATCH * mismatch + noise + own_percent),
             (Property::Ripple, RIPPLE_PERCENT + RIPPLE_OF_MISMATCH * mismatch + 2.0 * noise + 2.0 * own_percent),

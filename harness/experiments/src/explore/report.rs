@@ -357,7 +357,7 @@ pub fn document(report: &ExploreReport) -> Document {
 }
 
 fn limits(law: &str, own: Option<OwnLaw>) -> String {
-    if let Some(OwnLaw { settling_us, steady_us, rest_us }) = own {
+    if let Some(OwnLaw { settling_us, steady_us, rest_us, .. }) = own {
         let [settling_ms, steady_ms, rest_ms] = [settling_us, steady_us, rest_us].map(|us| f64::from(us) / 1e3);
         return format!(
             "the limits follow from the longest times of its steps: settled after {settling_ms:.1} ms, steady after \

@@ -367,31 +367,55 @@ pub struct Tuning {
     pub slew_tenths: Option<u32>,
 }
 
-/// A setting is present in the second of these parts of the scenes whose stratum has tuned
-/// configurations.
+/// Settings that a configuration may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Settings {
+    #[default]
+    None,
+    All,
+    /// Range and slew limit of the frequency.
+    FrequencyLimits,
+}
+
+/// A setting is present in the second of these parts of the scenes, if all settings may be present.
 const SETTING_PARTS: [u32; 2] = [6, 4];
+/// As [`SETTING_PARTS`], for range, slew limit and other settings, if only the first two may be present.
+const RANGE_PARTS: [u32; 2] = [2, 1];
+const SLEW_PARTS: [u32; 2] = [0, 1];
+const OTHER_PARTS: [u32; 2] = [1, 0];
 
 impl Tuning {
-    pub(crate) fn draw(choices: &mut Choices, ranges: &Ranges, is_tuned: bool) -> Self {
+    pub(crate) fn draw(choices: &mut Choices, ranges: &Ranges, settings: Settings) -> Self {
         // 0: no setting; otherwise 1 more than the distance from the end of the range.
-        let mut setting = |[low, high]: [f64; 2], scale: f64| {
+        let mut setting = |[low, high]: [f64; 2], scale: f64, power: i32, frequency_parts: [u32; 2]| {
+            let parts = match settings {
+                Settings::All => Some(SETTING_PARTS),
+                Settings::FrequencyLimits => Some(frequency_parts),
+                Settings::None => None,
+            };
             let [low, high] = [low, high].map(|end| (end * scale) as i32);
             let value = choices.number(0..=high - low + 1, |random| {
-                if is_tuned && weighted(random, &SETTING_PARTS) == 1 {
-                    uniform(random, &(1..=high - low + 1))
-                } else {
-                    0
+                if parts.is_none_or(|parts| weighted(random, &parts) == 0) {
+                    return 0;
                 }
+                // Tight limits of the frequency have the largest effect.
+                let share = (f64::from(uniform(random, &(0..=1_000))) / 1e3).powi(power);
+                1 + (f64::from(high - low) * share).round() as i32
             });
             (value > 0).then_some((low + value - 1).unsigned_abs())
         };
-        let response_tenths = setting(ranges.response_time_ms, 10.0);
-        let range_tenths = setting(ranges.frequency_range_hz, 10.0);
-        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0);
-        let amplitude = setting(ranges.configured_gains_percent, 1.0);
+        let response_tenths = setting(ranges.response_time_ms, 10.0, 1, OTHER_PARTS);
+        let range_tenths = setting(ranges.frequency_range_hz, 10.0, 2, RANGE_PARTS);
+        let slew_tenths = setting(ranges.frequency_slew_hz, 10.0, 5, SLEW_PARTS);
+        let amplitude = setting(ranges.configured_gains_percent, 1.0, 1, OTHER_PARTS);
         let [low, high] = ranges.configured_gains_percent.map(|percent| percent as i32);
         let gains_percent = amplitude.map(|amplitude| [amplitude, choices.integer(low..=high).unsigned_abs()]);
         Self { response_tenths, gains_percent, range_tenths, slew_tenths }
+    }
+
+    /// Time in which the slew limit permits a change of the frequency by `hz`, s.
+    pub(crate) fn slew_time_s(&self, hz: f64, period_us: u32) -> f64 {
+        self.slew_tenths.map_or(0.0, |tenths| (hz * 10.0 / f64::from(tenths)).ceil() * f64::from(period_us) * 1e-6)
     }
 
     /// `controller` with these settings. `design` is the configured plate.

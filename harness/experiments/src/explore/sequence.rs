@@ -439,7 +439,7 @@ impl SequenceDraw<'_> {
                 self.repeat(0..=1, |_| ScenarioMessage::Hello {});
             }
             Block::Rejected => self.list(Part::Message, 1..=4, |draw, _| {
-                draw.repeat(1..=5, Self::rejected);
+                draw.repeat(1..=7, |draw| if draw.choices.one_in(4) { draw.uncounted() } else { draw.rejected() });
                 draw.repeat(1..=6, Self::sample);
             }),
             Block::Ignored => {
@@ -590,8 +590,9 @@ impl SequenceDraw<'_> {
     /// An accepted configuration at a boundary of one field.
     fn boundary(&mut self) {
         let kind = self.choices.below(9);
-        self.send(|draw| configure(draw.at_boundary(kind)));
-        if kind == 2 {
+        let change = self.at_boundary(kind);
+        self.send(|_| configure(change));
+        if kind == 2 && change.frequency_range_hz.is_none() {
             // The answer contains the start frequency.
             self.send(|_| ScenarioMessage::Hello {});
             self.send(|_| ScenarioMessage::Safe {});

@@ -57,9 +57,24 @@ impl GapKind {
     const ALL: [Self; 5] = [Self::Quiet, Self::Short, Self::CounterEnd, Self::Long, Self::Sample];
 }
 
-/// Rest, ms, and number of control periods of the long trials.
+/// Rest of the long trials, ms.
 pub(crate) const ENDURANCE_REST_MS: i32 = 4_000;
-pub(crate) const ENDURANCE: i32 = 68_000;
+/// Changes of the long trials after the rest, and the control periods before them. A counter of 16
+/// bits, also of the periods without the rest, has every sign and has wrapped.
+pub(crate) const ENDURANCE_CHANGES: [(EventKind, i32); 7] = [
+    (EventKind::Touch, 12_000),
+    (EventKind::Shock, 20_000),
+    (EventKind::Touch, 36_000),
+    (EventKind::Shock, 44_000),
+    (EventKind::Touch, 52_000),
+    (EventKind::Shock, 60_000),
+    (EventKind::Step, ENDURANCE),
+];
+const ENDURANCE: i32 = 73_000;
+/// Control periods of some rests: more than 11 or 12 bits count.
+const LONG_REST: RangeInclusive<i32> = 2_100..=4_200;
+/// A rest is as long as the time before it, or in the second of these parts a long one.
+const LONG_REST_PARTS: [u32; 2] = [6, 1];
 /// Times at which a time counter in a controller may overflow, µs.
 const COUNTERS_US: [u32; 2] = [100_000, 1_000_000];
 /// Shortest time between two steps of a staircase, in tenths of a control period.
@@ -68,6 +83,8 @@ const STAIR_TENTHS: u32 = 7;
 /// rate.
 const MAX_RAMP_S: f64 = 0.1;
 const MAX_SETPOINT_RAMP_S: f64 = 0.3;
+/// Time at the slew limit that doubles the quiet times, s.
+const SLEW_STRETCH_S: f64 = 0.03;
 /// Weight of no force and no change of temperature against 11 of all other values, at the start of a
 /// trial, and later, so that a finger often leaves.
 const AT_START: u32 = 15;
@@ -83,22 +100,25 @@ struct Quantity {
     near: i32,
     /// Weight of the usual value after another one.
     usual_weight: u32,
+    /// Weight of values with a uniform logarithm.
+    logarithmic_weight: u32,
     values: Vec<i32>,
     course: CourseBuilder,
 }
 
 impl Quantity {
-    fn new(range: [f64; 2], usual: f64, scale: f64, [step, near]: [i32; 2], usual_weight: u32) -> Self {
+    fn new(range: [f64; 2], usual: f64, scale: f64, [step, near]: [i32; 2], weights: [u32; 2]) -> Self {
         let [low, high] = range.map(|value| (value * scale).round() as i32);
         let usual = ((usual * scale).round() as i32).min(high).max(low);
         let course = CourseBuilder::default();
-        Self { range: [low, high], usual, step, near, usual_weight, values: Vec::new(), course }
+        let [usual_weight, logarithmic_weight] = weights;
+        Self { range: [low, high], usual, step, near, usual_weight, logarithmic_weight, values: Vec::new(), course }
     }
 
     /// Draws a value relative to the usual value or to earlier values. Its choice is the distance from
     /// the usual value.
     fn draw(&mut self, choices: &mut Choices) -> i32 {
-        let Self { range: [low, high], usual, step, near, usual_weight, .. } = *self;
+        let Self { range: [low, high], usual, step, near, usual_weight, logarithmic_weight, .. } = *self;
         let values = &self.values;
         let last = values.last().copied().unwrap_or(usual);
         let usual_weight = match values.last() {
@@ -106,7 +126,7 @@ impl Quantity {
             Some(_) => usual_weight * u32::from(last != usual),
         };
         let distance = choices.number(low - usual..=high - usual, |random| {
-            let value = match weighted(random, &[usual_weight, 6, 2, 1, 1, 1]) {
+            let value = match weighted(random, &[usual_weight, 6, 2, 1, 1, 1, logarithmic_weight]) {
                 0 => usual,
                 1 => usual + step * uniform(random, &(-((usual - low) / step)..=(high - usual) / step)),
                 2 => last + near * uniform(random, &(-4..=4)),
@@ -115,7 +135,11 @@ impl Quantity {
                     at.and_then(|at| values.get(at)).copied().unwrap_or(last)
                 }
                 4 => low,
-                _ => high,
+                5 => high,
+                _ => {
+                    let share = f64::from(uniform(random, &(0..=100))) / 100.0;
+                    (f64::from(low) * (f64::from(high) / f64::from(low)).powf(share)).round() as i32
+                }
             };
             value - usual
         });
@@ -169,14 +193,15 @@ impl<'a, 'c> Timeline<'a, 'c> {
         [fewest, most]: [u32; 2],
     ) -> Self {
         let range = &envelope.range;
-        let mut setpoint = Quantity::new(range.setpoint_um, 1.0, 1e3, [5, 5], 0);
-        let mut force = Quantity::new(range.finger_force_n, 0.0, 100.0, [5, 2], LATER);
-        let mut temperature = Quantity::new(range.temperature_offset_k, 0.0, 100.0, [25, 10], LATER);
+        let mut setpoint = Quantity::new(range.setpoint_um, 1.0, 1e3, [5, 5], [0, 3]);
+        let mut force = Quantity::new(range.finger_force_n, 0.0, 100.0, [5, 2], [LATER, 0]);
+        let mut temperature = Quantity::new(range.temperature_offset_k, 0.0, 100.0, [25, 10], [LATER, 0]);
         for quantity in [&mut setpoint, &mut force, &mut temperature] {
             quantity.step(choices, 0);
         }
         let period_ms = f64::from(trial.period_us) / 1e3;
-        let stretch = period_ms.max(1.0) * trial.law.stretch();
+        let slew_s = trial.tuning.slew_time_s(range.start_frequency_offset_hz[1], trial.period_us);
+        let stretch = period_ms.max(1.0) * trial.law.stretch() * (1.0 + slew_s / SLEW_STRETCH_S);
         let (period_us, gap) = (trial.period_us, (GapKind::Quiet, 0));
         let mut timeline = Self { envelope, choices, period_us, stretch, now_us: 0, gap, setpoint, force, temperature };
         timeline.gap = timeline.gap(stratum, 0);
@@ -199,9 +224,10 @@ impl<'a, 'c> Timeline<'a, 'c> {
         [&mut self.force, &mut self.temperature].map(|quantity| std::mem::take(&mut quantity.course).finish())
     }
 
-    /// The course of the setpoint with no value above `highest`.
+    /// The course of the setpoint, in proportion if a value is above `highest`.
     pub(crate) fn setpoint(self, highest: i32) -> Course {
-        self.setpoint.course.limited(highest).finish()
+        let lowest = self.setpoint.range[0];
+        self.setpoint.course.limited(lowest, highest).finish()
     }
 
     /// Draws a time without changes, µs, before the event with this number.
@@ -260,10 +286,7 @@ impl<'a, 'c> Timeline<'a, 'c> {
             EventKind::Step => self.setpoint.step(self.choices, at),
             EventKind::Touch => self.force.step(self.choices, at),
             EventKind::Shock => self.temperature.step(self.choices, at),
-            EventKind::Rest => {
-                self.setpoint.course.step(at, 0);
-                self.setpoint.step(self.choices, at + gap_us.max(2 * self.period_us))
-            }
+            EventKind::Rest => self.rest(at, gap_us),
             EventKind::Ramp => self.ramp_setpoint(at),
             EventKind::Press => self.force.ramp(self.choices, force_rates, at),
             EventKind::Heat => self.temperature.ramp(self.choices, temperature_rates, at),
@@ -273,6 +296,24 @@ impl<'a, 'c> Timeline<'a, 'c> {
                 end.max(self.temperature.ramp(self.choices, temperature_rates, at))
             }
         };
+    }
+
+    /// Force and temperature may change during a rest, which the law cannot measure.
+    fn rest(&mut self, at: u32, gap_us: u32) -> u32 {
+        self.setpoint.course.step(at, 0);
+        let periods = self.choices.number(0..=*LONG_REST.end(), |random| match weighted(random, &LONG_REST_PARTS) {
+            0 => 0,
+            _ => uniform(random, &LONG_REST),
+        });
+        let rest_us = gap_us.max(self.period_us * periods.max(2).unsigned_abs());
+        let changes_at = (at + rest_us / 2).next_multiple_of(100);
+        if self.choices.one_in(2) {
+            self.temperature.step(self.choices, changes_at);
+        }
+        if self.choices.one_in(3) {
+            self.force.step(self.choices, changes_at);
+        }
+        self.setpoint.step(self.choices, (at + rest_us).next_multiple_of(100))
     }
 
     fn add_staircase(&mut self, at: u32) -> u32 {
@@ -350,12 +391,19 @@ impl CourseBuilder {
         at_us + duration_us
     }
 
-    /// The course with no value above `highest`.
-    fn limited(mut self, highest: i32) -> Self {
-        self.start = self.start.min(highest);
+    /// The course with values above `lowest` in proportion, so that none is above `highest`.
+    fn limited(mut self, lowest: i32, highest: i32) -> Self {
+        let largest = self.moves.iter().map(|(_, _, value)| *value).fold(self.start, i32::max);
+        if largest <= highest {
+            return self;
+        }
+        let share = f64::from(highest - lowest) / f64::from((largest - lowest).max(1));
+        let scaled = |value: i32| value.min(lowest) + (f64::from((value - lowest).max(0)) * share) as i32;
+        let scaled = |value: i32| scaled(value).min(highest);
+        self.start = scaled(self.start);
         let mut last = self.start;
         self.moves.retain_mut(|(_, _, value)| {
-            *value = (*value).min(highest);
+            *value = scaled(*value);
             std::mem::replace(&mut last, *value) != *value
         });
         self

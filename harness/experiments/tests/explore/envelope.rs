@@ -6,9 +6,9 @@ use rstest::rstest;
 use std::fs;
 
 #[rstest]
-#[case("setpoint_um = [0.1, 2.5]", "setpoint_um = [2.5, 0.1]", "with low not above high")]
-#[case("setpoint_um = [0.1, 2.5]", "setpoint_um = [0.0, 2.5]", "`setpoint_um`: 0 µm, expected 0.01 to 100")]
-#[case("setpoint_um = [0.1, 2.5]", "setpoint_um = [nan, 2.5]", "NaN µm, expected 0.01 to 100")]
+#[case("setpoint_um = [0.02, 5.0]", "setpoint_um = [5.0, 0.02]", "with low not above high")]
+#[case("setpoint_um = [0.02, 5.0]", "setpoint_um = [0.0, 5.0]", "`setpoint_um`: 0 µm, expected 0.01 to 100")]
+#[case("setpoint_um = [0.02, 5.0]", "setpoint_um = [nan, 5.0]", "NaN µm, expected 0.01 to 100")]
 #[case("events = [1, 5]", "events = [0, 5]", "`events`: 0, expected 1 to 20")]
 #[case("period_ms = [", "period_s = [", "unknown key `period_s`")]
 fn points_at_a_wrong_range(#[case] right: &str, #[case] wrong: &str, #[case] message: &str) {

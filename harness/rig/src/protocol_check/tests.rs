@@ -568,6 +568,16 @@ fn a_late_answer_of_a_program_repeats_the_script(
     assert!(found.differences.iter().all(|difference| difference.to_string().contains(text)), "{found:?}");
 }
 
+/// The controller would then be configured.
+#[test]
+fn messages_before_the_first_configuration_are_not_repeated() {
+    let messages = [ScenarioMessage::sample(2.0, 1.2, -0.2)];
+    let mut link = LateLink { device: HostedLink::new(), delayed: 1, late: Vec::new(), is_lost: false };
+    let options = CheckOptions { own_clock: true, messages: &messages, ..scripts() };
+    let found = check_protocol(&mut link, &identity(), &CONFIGURE, options).unwrap();
+    assert_eq!((found.repeats, &found.differences[..], found.undecided.len()), (0, &[][..], 1), "{found:?}");
+}
+
 #[test]
 fn an_answer_that_never_comes_is_the_controllers() {
     let cause = |packet: &Packet| match &packet.message {
