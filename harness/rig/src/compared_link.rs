@@ -63,7 +63,9 @@ struct TrialComparison {
     to_target: PacketReader,
     from_target: PacketReader,
     configuration: Option<Configure>,
-    expected: [Option<Command>; 256],
+    /// First and last answer of the reference under each number. A repeated sample may have two answers,
+    /// if noise between them stops the controller.
+    expected: [Option<[Command; 2]>; 256],
     last_request: u8,
     largest_percent: Option<f64>,
 }
@@ -93,10 +95,12 @@ impl TrialComparison {
         }
         let mut answer = Vec::new();
         self.reference.exchange(now, bytes, &mut answer)?;
+        let mut answered = None;
         for Packet { sequence, message } in PacketReader::new().packets(&answer).flatten() {
             if let (Message::Command(command), Some(expected)) = (message, self.expected.get_mut(usize::from(sequence)))
             {
-                *expected = Some(command);
+                let first = expected.filter(|_| answered == Some(sequence)).map_or(command, |[first, _]| first);
+                (*expected, answered) = (Some([first, command]), Some(sequence));
             }
         }
         Ok(())
@@ -111,14 +115,16 @@ impl TrialComparison {
         for Packet { sequence, message } in self.from_target.packets(answer).flatten() {
             let expected = self.expected.get(usize::from(sequence)).copied().flatten();
             let (Message::Command(command), Some(expected)) = (message, expected) else { continue };
-            let percent = match (is_running(&command), is_running(&expected)) {
+            let percents = expected.map(|expected| match (is_running(&command), is_running(&expected)) {
                 (true, true) => Some(difference_percent(&command, &expected, &configuration)),
                 (false, false) => None,
                 // A late command has the number of an earlier sample, and its state may be old.
                 _ if sequence != self.last_request => None,
                 _ => (!is_watchdog(&command) && !is_watchdog(&expected)).then_some(100.0),
-            };
-            if let Some(percent) = percent {
+            });
+            // The answer of the target may be either.
+            if let [Some(first), Some(last)] = percents {
+                let percent = first.min(last);
                 self.largest_percent = Some(self.largest_percent.map_or(percent, |largest| largest.max(percent)));
             }
         }
@@ -248,6 +254,23 @@ mod tests {
         assert_eq!(difference(link_that_ignores_nan(), f32::NAN), Some(100.0));
         assert_eq!(difference(link_that_ignores_nan(), 0.1), Some(0.0));
         assert_eq!(difference(Box::<HostedLink>::default(), f32::NAN), Some(0.0));
+    }
+
+    #[test]
+    fn a_repeated_sample_with_noise_before_its_second_answer_is_no_difference() {
+        let fault = |kind| Fault {
+            kind,
+            from: Time::ZERO,
+            until: None,
+            direction: Direction::ToController,
+            every: 1,
+            seed: None,
+            reconfigure: false,
+        };
+        let faults = [fault(FaultKind::Babble), fault(FaultKind::Duplicate)];
+        assert_eq!(difference(NOTHING, &faults), Some(0.0));
+        let more = Addition { drive_vpp: 9.0, ..NOTHING };
+        assert!(difference(more, &faults).is_some_and(|percent| percent > 0.9));
     }
 
     #[test]
