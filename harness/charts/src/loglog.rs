@@ -15,7 +15,7 @@ pub(crate) struct LogLogSeries {
     pub(crate) name: String,
     /// Positive x and y, in the order of the line.
     pub(crate) points: Vec<(f64, f64)>,
-    /// Texts beside the first points.
+    /// Labels of the first points.
     pub(crate) labels: Vec<String>,
     /// Cost of each setting without a result; drawn as a cross at the chart's `failed_edge`.
     pub(crate) failed: Vec<f64>,

@@ -156,9 +156,7 @@ impl Envelope {
         let (title, range, count) = (raw.title, raw.range, raw.count);
         Ok(Self { path: path.to_owned(), title, plate, range, count, digest: digest.finalize().into() })
     }
-}
 
-impl Envelope {
     /// Drive limit of the plate file, limited to the range, Vpp.
     pub(crate) fn usual_limit_vpp(&self) -> f64 {
         let [low, high] = self.range.drive_limit_vpp;

@@ -87,12 +87,11 @@ fn known_us(number: usize) -> u32 {
 fn trials(envelope: &Envelope) -> Vec<SceneTrial> {
     let range = &envelope.range;
     let [lowest_hz, highest_hz] = range.start_frequency_offset_hz;
-    let force = (range.finger_force_n[1] * 100.0) as i32;
-    let largest_force = force;
+    let largest_force = (range.finger_force_n[1] * 100.0) as i32;
     let mut periods = range.period_ms.map(|ms| (ms * 1e3) as u32).to_vec();
     periods.push(1_000.clamp(periods[0], periods[1]));
     periods.dedup();
-    let conditions = [(0.0, 0), (lowest_hz, 0), (highest_hz, force), (0.0, force)];
+    let conditions = [(0.0, 0), (lowest_hz, 0), (highest_hz, largest_force), (0.0, largest_force)];
     let touch_us = known_us(KNOWN_NM.len());
     let known = (0..).zip(KNOWN_NM).map(|(number, level)| (known_us(number), level));
     let setpoints: Vec<_> = [(0, LEVEL_NM), (HALF_US, 0)].into_iter().chain(known).collect();

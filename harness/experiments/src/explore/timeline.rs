@@ -398,8 +398,10 @@ impl CourseBuilder {
             return self;
         }
         let share = f64::from(highest - lowest) / f64::from((largest - lowest).max(1));
-        let scaled = |value: i32| value.min(lowest) + (f64::from((value - lowest).max(0)) * share) as i32;
-        let scaled = |value: i32| scaled(value).min(highest);
+        let scaled = |value: i32| {
+            let above = f64::from((value - lowest).max(0)) * share;
+            (value.min(lowest) + above as i32).min(highest)
+        };
         self.start = scaled(self.start);
         let mut last = self.start;
         self.moves.retain_mut(|(_, _, value)| {
