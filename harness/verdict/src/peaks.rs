@@ -434,14 +434,14 @@ impl Motion<'_> {
     }
 }
 
-/// Searches the largest value of `sign` times the signal between two rows, by bisection. Parts whose
+/// Searches the largest value of `sign` times the signal in an interval, by bisection. Parts whose
 /// bound does not exceed the largest value so far are not searched.
 struct Search<'a> {
     motion: &'a Motion<'a>,
     signal: BandSignal,
     sign: f64,
     largest: f64,
-    /// Instant of `largest` after the row, s; `None` if no value exceeds the first one.
+    /// Instant of `largest` after the start, s; `None` if no value exceeds the first one.
     at: Option<f64>,
 }
 
