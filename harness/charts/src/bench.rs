@@ -213,11 +213,7 @@ fn settling_time(
     solver: &Solver,
 ) -> Result<Option<f64>, SolverStatus> {
     let (low, high) = expectation.band(scenario.setpoint.range().1);
-    let signal = match expectation.signal {
-        "wd_um" => BandSignal::InPhase,
-        "wq_um" => BandSignal::Quadrature,
-        _ => BandSignal::Amplitude,
-    };
+    let signal = BandSignal::from_column(expectation.signal).unwrap_or(BandSignal::Amplitude);
     let mut rows: Vec<Row> = Vec::new();
     replay.find_crossings(solver, &BandMonitor { signal, low, high }, |time, state| {
         rows.push(Row {

@@ -19,11 +19,20 @@ use std::time::Duration;
 pub(crate) const SATURATION_THRESHOLD: f64 = 1.0 - 1e-6;
 
 pub(crate) trait RowSink {
+    /// The last row, which events at the same instant may still change.
+    fn last_mut(&mut self) -> Option<&mut Row>;
+
     /// Must not wait, because the real-time loop calls it.
     fn push(&mut self, row: Row);
 }
 
 impl RowSink for Vec<Row> {
+    #[inline]
+    fn last_mut(&mut self) -> Option<&mut Row> {
+        self.as_mut_slice().last_mut()
+    }
+
+    #[inline]
     fn push(&mut self, row: Row) {
         Self::push(self, row);
     }
@@ -48,8 +57,6 @@ pub(crate) struct PlantSimulation<'a, R> {
     sensor: Sensor,
     sink: R,
     tap: Option<&'a mut TapWriter>,
-    /// Newest row. It is not in `sink` yet, because events at the same instant may still change it.
-    pending_row: Option<Row>,
     crossings: Vec<Crossing>,
     bands: Vec<BandMonitor>,
     bands_setpoint_um: Option<f64>,
@@ -114,7 +121,6 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             sensor: variation.sensor(scenario),
             sink: rows,
             tap,
-            pending_row: None,
             crossings: Vec::with_capacity(64),
             bands: Vec::with_capacity(scenario.expectations.len()),
             bands_setpoint_um: None,
@@ -151,9 +157,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 
     pub(crate) fn into_rows(mut self) -> R {
-        if let Some(last) = self.pending_row.take() {
-            emit_row(&mut self.tap, &mut self.sink, last);
-        }
+        show_last_row(&mut self.tap, &mut self.sink);
         self.sink
     }
 
@@ -241,7 +245,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
             let instants = [(last, crossing.before), (crossing.time, crossing.state)];
             for ((time, state), rise_k) in instants.into_iter().zip(crossing.temperature_rise_k) {
                 // The instants at both ends of the interval have rows of their own.
-                if self.pending_row.is_none_or(|last| last.t_s < time.seconds()) && time < end {
+                if self.sink.last_mut().is_none_or(|last| last.t_s < time.seconds()) && time < end {
                     self.push(time, &state, rise_k, 0.0, flags);
                 }
             }
@@ -275,11 +279,10 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         let end = end.min(self.next_point).min(self.bands_end);
         let rise_k = self.plant.self_heating_k();
         let Some(row) = self.row(now, &self.plant.state(), rise_k, 0.0, flags) else { return };
+        let held = &row;
         self.plant.advance_in_steps(step, end, &self.bands, |time, state| {
-            let row = Row { t_s: time.seconds(), ..with_state(row, state) };
-            if let Some(last) = self.pending_row.replace(row) {
-                emit_row(&mut self.tap, &mut self.sink, last);
-            }
+            show_last_row(&mut self.tap, &mut self.sink);
+            self.sink.push(with_state(Row { t_s: time.seconds(), ..*held }, state));
         });
     }
 
@@ -297,16 +300,15 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     fn push(&mut self, time: Time, state: &State, rise_k: f64, lateness_us: f64, flags: Flags) {
         // If the simulation has overflowed, the trace ends, so the judge excludes the trial.
         let Some(row) = self.row(time, state, rise_k, lateness_us, flags) else { return };
-        match &mut self.pending_row {
+        match self.sink.last_mut() {
             // A row has the state after the last event of its instant and all flags of the instant.
             Some(last) if last.t_s == row.t_s => {
                 let happened = last.flags & (Flags::CONTROL | Flags::OVERRUN | Flags::LINK_LOST);
                 *last = Row { lateness_us: row.lateness_us.max(last.lateness_us), flags: row.flags | happened, ..row };
             }
-            held => {
-                if let Some(last) = held.replace(row) {
-                    emit_row(&mut self.tap, &mut self.sink, last);
-                }
+            _ => {
+                show_last_row(&mut self.tap, &mut self.sink);
+                self.sink.push(row);
             }
         }
     }
@@ -353,12 +355,7 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
         // A search along a moving mode evaluates it every microsecond.
         let has_constant_mode = self.plant.has_constant_modes();
         for expectation in &self.scenario.expectations {
-            let signal = match expectation.signal {
-                "wd_um" => BandSignal::InPhase,
-                "wq_um" => BandSignal::Quadrature,
-                "amplitude_um" => BandSignal::Amplitude,
-                _ => continue,
-            };
+            let Some(signal) = BandSignal::from_column(expectation.signal) else { continue };
             let mut add = |(low, high)| {
                 let band = BandMonitor { signal, low, high };
                 if !self.bands.contains(&band) {
@@ -383,15 +380,17 @@ impl<'a, R: RowSink> PlantSimulation<'a, R> {
     }
 }
 
+#[inline]
 fn with_state(row: Row, state: &State) -> Row {
     Row { wd_um: state.w.re, wq_um: state.w.im, amplitude_um: state.amplitude(), ..row }
 }
 
-fn emit_row(tap: &mut Option<&mut TapWriter>, sink: &mut impl RowSink, row: Row) {
-    if let Some(tap) = tap {
-        tap.push(&row);
+/// Passes the last row, which does not change any more, to the live view.
+#[inline]
+fn show_last_row(tap: &mut Option<&mut TapWriter>, sink: &mut impl RowSink) {
+    if let (Some(tap), Some(last)) = (tap, sink.last_mut()) {
+        tap.push(last);
     }
-    sink.push(row);
 }
 
 /// Returns the start of the sample clock: 0, or just before 2^16 ms, 2^31 µs or 2^32 µs. Counters
@@ -414,12 +413,11 @@ fn to_wire(value: f64) -> f32 {
 impl PlantSimulation<'_, Vec<Row>> {
     /// Excludes the row of the present instant, which the loop adds later.
     pub(crate) fn row_count(&self) -> usize {
-        self.sink.len() + usize::from(self.pending_row.is_some())
+        self.sink.len()
     }
 
     pub(crate) fn add_flags(&mut self, number: usize, flags: Flags) {
-        let row = if number == self.sink.len() { self.pending_row.as_mut() } else { self.sink.get_mut(number) };
-        if let Some(row) = row {
+        if let Some(row) = self.sink.get_mut(number) {
             row.flags |= flags;
         }
     }
@@ -432,6 +430,8 @@ const POLL_INTERVAL: Duration = Duration::from_millis(2);
 
 pub(crate) struct RowQueue {
     producer: Producer<Row>,
+    /// Not in the queue yet.
+    last: Option<Row>,
     lost_rows: u64,
 }
 
@@ -442,17 +442,30 @@ impl RowQueue {
 
     fn with_capacity(capacity: usize) -> (Self, Consumer<Row>) {
         let (producer, consumer) = RingBuffer::new(capacity);
-        (Self { producer, lost_rows: 0 }, consumer)
+        (Self { producer, last: None, lost_rows: 0 }, consumer)
     }
 
-    pub(crate) fn lost(&self) -> u64 {
+    /// Passes the last row on and returns the number of lost rows.
+    pub(crate) fn finish(mut self) -> u64 {
+        self.send_last();
         self.lost_rows
+    }
+
+    fn send_last(&mut self) {
+        if let Some(row) = self.last.take() {
+            self.lost_rows += u64::from(self.producer.push(row).is_err());
+        }
     }
 }
 
 impl RowSink for RowQueue {
+    fn last_mut(&mut self) -> Option<&mut Row> {
+        self.last.as_mut()
+    }
+
     fn push(&mut self, row: Row) {
-        self.lost_rows += u64::from(self.producer.push(row).is_err());
+        self.send_last();
+        self.last = Some(row);
     }
 }
 
@@ -544,8 +557,7 @@ mod tests {
             }
             queue.push(row(f64::from(number)));
         }
-        assert_eq!(queue.lost(), 0);
-        drop(queue);
+        assert_eq!(queue.finish(), 0);
         let rows = collector.join().unwrap();
         assert_eq!(rows.len(), 100_000);
         assert!(rows.windows(2).all(|pair| pair[1].t_s == pair[0].t_s + 1.0));
@@ -555,8 +567,7 @@ mod tests {
     fn a_full_queue_counts_the_rows_it_loses() {
         let (mut queue, consumer) = RowQueue::with_capacity(4);
         (0..7_u32).for_each(|number| queue.push(row(f64::from(number))));
-        assert_eq!(queue.lost(), 3);
-        drop(queue);
+        assert_eq!(queue.finish(), 3);
         assert_eq!(collect_rows(consumer, 0).len(), 4);
     }
 

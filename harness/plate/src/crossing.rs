@@ -16,6 +16,16 @@ pub enum BandSignal {
 }
 
 impl BandSignal {
+    /// The signal of a column of a trace. `None` for a column that is not the motion of the plate.
+    pub fn from_column(name: &str) -> Option<Self> {
+        match name {
+            "amplitude_um" => Some(Self::Amplitude),
+            "wd_um" => Some(Self::InPhase),
+            "wq_um" => Some(Self::Quadrature),
+            _ => None,
+        }
+    }
+
     pub fn value(self, state: &State) -> f64 {
         match self {
             Self::Amplitude => state.amplitude(),

@@ -145,10 +145,7 @@ enum SecondTerm {
     /// Modal and carrier model.
     FastPole {
         term: ExponentialTerm,
-        /// Excitation frequency ω.
-        omega: f64,
-        /// Imaginary part √(ω0² − σ²) of the slow pole in the fixed frame.
-        damped: f64,
+        fixed: FixedFrame,
     },
     /// Ratio Wq/Wd of the linear model. `slow_pole` is then the pole of Wd.
     Ratio {
@@ -162,6 +159,30 @@ enum SecondTerm {
 struct ExponentialTerm {
     amplitude: Complex64,
     pole: Complex64,
+}
+
+/// What U needs, in the fixed frame.
+#[derive(Debug, Clone, Copy)]
+struct FixedFrame {
+    /// U of the steady state, `jωW∞`.
+    rest: Complex64,
+    /// The poles of `slow_pole` and `term` plus jω.
+    poles: [Complex64; 2],
+    /// `s₋ = −σ − j√(ω0² − σ²)`, and `s₊ − s₋`.
+    minus: Complex64,
+    separation: Complex64,
+}
+
+impl FixedFrame {
+    /// Amplitudes of slow and fast pole of a flow from `state`. The deviation from the steady state
+    /// `rest` is the sum over both poles: w = A + B, u = s₊A + s₋B.
+    #[inline]
+    fn amplitudes(&self, state: &State, rest: Complex64) -> [Complex64; 2] {
+        let w = state.w - rest;
+        let u = state.u - self.rest;
+        let slow = (u - self.minus * w) / self.separation;
+        [slow, w - slow]
+    }
 }
 
 /// `e^{pole t}` of the slow pole and of the second term.
@@ -193,17 +214,6 @@ impl LastExponential {
         }
         self.value
     }
-}
-
-/// Amplitudes of slow and fast pole of a modal flow from `state`. The deviation from the steady
-/// state `rest` is the sum over both poles: w = A + B, u = s₊A + s₋B.
-#[inline]
-fn modal_amplitudes(state: &State, rest: Complex64, omega: f64, sigma: f64, damped: f64) -> [Complex64; 2] {
-    let w = state.w - rest;
-    let u = state.u - J * omega * rest;
-    let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
-    let slow = (u - minus * w) / (plus - minus);
-    [slow, w - slow]
 }
 
 impl Flow {
@@ -242,13 +252,14 @@ impl Flow {
         let damped = ((omega0 - sigma) * (omega0 + sigma)).sqrt();
         let stiffness = Complex64::new((omega0 - omega) * (omega0 + omega), 2.0 * sigma * omega);
         let rest = J * (mode.force_constant * drive.vpp) / stiffness;
-        let [slow, fast] = modal_amplitudes(state, rest, omega, sigma, damped);
-        let term = ExponentialTerm { amplitude: fast, pole: Complex64::new(-sigma, -damped - omega) };
-        Self {
-            steady_state: rest,
-            slow_pole: ExponentialTerm { amplitude: slow, pole: Complex64::new(-sigma, damped - omega) },
-            second_term: SecondTerm::FastPole { term, omega, damped },
-        }
+        let frame = J * omega;
+        let poles = [damped, -damped].map(|damped| Complex64::new(-sigma, damped - omega));
+        let (plus, minus) = (Complex64::new(-sigma, damped), Complex64::new(-sigma, -damped));
+        let poles_in_frame = poles.map(|pole| pole + frame);
+        let fixed = FixedFrame { rest: frame * rest, poles: poles_in_frame, minus, separation: plus - minus };
+        let amplitudes = fixed.amplitudes(state, rest);
+        let [slow_pole, term] = [0, 1].map(|n: usize| ExponentialTerm { amplitude: amplitudes[n], pole: poles[n] });
+        Self { steady_state: rest, slow_pole, second_term: SecondTerm::FastPole { term, fixed } }
     }
 
     /// The same flow from another state, as [`Self::new`] gives it, bit for bit.
@@ -257,9 +268,8 @@ impl Flow {
         let rest = self.steady_state;
         match &mut self.second_term {
             SecondTerm::Envelope => self.slow_pole.amplitude = state.w - rest,
-            SecondTerm::FastPole { term, omega, damped } => {
-                [self.slow_pole.amplitude, term.amplitude] =
-                    modal_amplitudes(state, rest, *omega, -term.pole.re, *damped);
+            SecondTerm::FastPole { term, fixed } => {
+                [self.slow_pole.amplitude, term.amplitude] = fixed.amplitudes(state, rest);
             }
             SecondTerm::Ratio { rest: ratio, amplitude } => {
                 self.slow_pole.amplitude = (state.w.re - rest.re).into();
@@ -302,11 +312,9 @@ impl Flow {
             SecondTerm::Envelope => {
                 State { w: self.steady_state + self.slow_pole.amplitude * slow, u: Complex64::ZERO }
             }
-            SecondTerm::FastPole { term, omega, .. } => {
+            SecondTerm::FastPole { term, fixed } => {
                 let (slow, fast) = (self.slow_pole.amplitude * slow, term.amplitude * second);
-                let frame = J * *omega;
-                // U is in the fixed frame, so its poles are those of the rotating frame plus jω.
-                let u = frame * self.steady_state + (self.slow_pole.pole + frame) * slow + (term.pole + frame) * fast;
+                let u = fixed.rest + fixed.poles[0] * slow + fixed.poles[1] * fast;
                 State { w: self.steady_state + slow + fast, u }
             }
             SecondTerm::Ratio { rest, amplitude } => {

@@ -249,20 +249,21 @@ impl Plant {
             let span = time_without_crossing(monitors, &self.state, |distance| bound.seconds_within(distance));
             end = end.min(self.time + span);
         }
-        let start = self.time;
+        let (start, mut state) = (self.time, self.state);
         let mut next = step.next_multiple_after(start);
         let mut decays = flow.decays_with(&mut self.exponentials, (next - start).seconds());
         while next < end {
-            self.state = flow.state_with(decays);
+            state = flow.state_with(decays);
             if self.time == start {
                 // Only the first step may be shorter.
                 decays = flow.decays_with(&mut self.exponentials, step.seconds());
             }
             self.time = next;
-            each(next, &self.state);
-            flow.start_from(&self.state);
+            each(next, &state);
+            flow.start_from(&state);
             next = next + step;
         }
+        self.state = state;
         self.phase = self.phase.after(self.time - start, self.rate);
     }
 

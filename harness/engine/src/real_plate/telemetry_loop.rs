@@ -103,7 +103,7 @@ impl<'a, L: Link> TelemetryLoop<'a, L> {
             unacknowledged: self.unacknowledged,
             acknowledged_us: self.acknowledge_time.quantiles_us(),
             rejected_frames: self.session.rejected_frames(),
-            lost_rows: self.queue.lost(),
+            lost_rows: self.queue.finish(),
             clock_ppm: self.drift.ppm().map(|(ppm, error)| [ppm, error]),
             force_measured: self.telemetry.force_measured,
             safe_confirmed,

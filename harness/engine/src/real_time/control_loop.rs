@@ -351,7 +351,7 @@ impl<'a, L: Link> RealTimeLoop<'a, L> {
         timing.rejected_frames = self.session.rejected_frames();
         timing.safe_confirmed = safe_confirmed;
         let not_finite = self.plant.not_finite();
-        timing.lost_rows = self.plant.into_rows().lost();
+        timing.lost_rows = self.plant.into_rows().finish();
         let telemetry = Telemetry {
             not_finite,
             loop_delay_us: timing.loop_delay_us.map(|quantiles| quantiles.max),
