@@ -22,5 +22,5 @@ pub mod uncertainty;
 pub use divergence::divergence_time_s;
 pub use judge::{Judgement, SequentialDecision, judge, judge_at_time_limit, judge_sequentially};
 pub use metrics::Measure;
-pub use peaks::{missed_between_rows, rows_with_extremes};
+pub use peaks::missed_between_rows;
 pub use trial::{TrialMeasures, measure, trial_record};

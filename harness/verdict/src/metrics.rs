@@ -9,7 +9,17 @@ pub use platebench_model::metrics::{Measure, Measurement, setpoint_steps};
 
 /// As [`measure_with_instants`], without the instants.
 pub fn measure(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> Measure {
-    measure_worst_window(expectation, rows, telemetry).0.measure
+    measure_with_extremes(expectation, rows, &[], telemetry)
+}
+
+/// As [`measure`], with rows at extremes of the signal between `rows`, in the order of time.
+pub(crate) fn measure_with_extremes(
+    expectation: &Expectation,
+    rows: &[Row],
+    extremes: &[Row],
+    telemetry: &Telemetry,
+) -> Measure {
+    measure_worst_window(expectation, rows, extremes, telemetry).0.measure
 }
 
 /// The measure, and the instants of the worst window, which decides. They are `None` if no window
@@ -21,7 +31,7 @@ pub fn measure_with_instants(
     rows: &[Row],
     telemetry: &Telemetry,
 ) -> (Measure, Option<WorstInstant>) {
-    let (Measurement { measure, mut worst }, window) = measure_worst_window(expectation, rows, telemetry);
+    let (Measurement { measure, mut worst }, window) = measure_worst_window(expectation, rows, &[], telemetry);
     // JSON has no NaN.
     worst.retain(|point| point.value.is_finite());
     let instants =
@@ -32,9 +42,10 @@ pub fn measure_with_instants(
 fn measure_worst_window(
     expectation: &Expectation,
     rows: &[Row],
+    extremes: &[Row],
     telemetry: &Telemetry,
 ) -> (Measurement, Option<Window>) {
-    let (mut measurement, window) = measure_trace(expectation, rows, telemetry);
+    let (mut measurement, window) = measure_trace(expectation, rows, extremes, telemetry);
     let has_number = !matches!(measurement.measure, Measure::Missing(_) | Measure::Undefined(_));
     if telemetry.not_finite.is_some() && has_number {
         measurement.measure = Measure::Missing(MissingValue::NonFiniteDrive);
@@ -42,7 +53,12 @@ fn measure_worst_window(
     (measurement, window)
 }
 
-fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry) -> (Measurement, Option<Window>) {
+fn measure_trace(
+    expectation: &Expectation,
+    rows: &[Row],
+    extremes: &[Row],
+    telemetry: &Telemetry,
+) -> (Measurement, Option<Window>) {
     let spec = expectation.metric.spec();
     let Some(last) = rows.last() else { return (Measure::Undefined(UndefinedValue::EmptyTrace).into(), None) };
     // A controller that ended has no value of any metric: the bench applied the 0 V.
@@ -58,6 +74,7 @@ fn measure_trace(expectation: &Expectation, rows: &[Row], telemetry: &Telemetry)
     let measurements = expectation.windows.iter().map(|window| {
         let input = MeasureInput {
             rows,
+            extremes,
             from_s: window.from.seconds(),
             to_s: window.to.seconds(),
             signal,

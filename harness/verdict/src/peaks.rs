@@ -8,7 +8,7 @@
 //! A plate with optional effects or with the model `linear` has more states, and moving modes have no
 //! such form: these plates are simulated again with the commands of the rows.
 
-use crate::metrics::measure;
+use crate::metrics::measure_with_extremes;
 use crate::uncertainty::has_moving_modes;
 use platebench_model::record::Telemetry;
 use platebench_model::scenario::{Expectation, Metric, Scenario, Variation, Window};
@@ -50,47 +50,17 @@ pub fn missed_between_rows(
     if extremes.is_empty() {
         return Some(0.0);
     }
-    let exact = measure(expectation, &with_extremes(rows, extremes), telemetry).value()?;
+    let exact = measure_with_extremes(expectation, rows, &extremes, telemetry).value()?;
     Some((exact - present).abs())
 }
 
-/// The rows, and rows at extremes of the signal that exceed all rows with the same setpoint in the
-/// same windows. The largest one is always among them. `None` for a sensed signal, which has no
-/// values between the control instants.
-pub fn rows_with_extremes(
-    scenario: &Scenario,
-    index: u32,
-    expectation: &Expectation,
-    rows: &[Row],
-) -> Option<Vec<Row>> {
-    find_extremes(scenario, index, expectation, rows).map(|extremes| with_extremes(rows, extremes))
-}
-
-/// A row at an extreme, and the number of the row before it.
-type Extreme = (usize, Row);
-
-fn with_extremes(rows: &[Row], extremes: Vec<Extreme>) -> Vec<Row> {
-    let mut extended = Vec::with_capacity(rows.len() + extremes.len());
-    let mut next = 0;
-    for (number, extreme) in extremes {
-        extended.extend_from_slice(rows.get(next..=number).unwrap_or_default());
-        extended.push(extreme);
-        next = number + 1;
-    }
-    extended.extend_from_slice(rows.get(next..).unwrap_or_default());
-    extended
-}
-
-/// In the order of time.
-fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, rows: &[Row]) -> Option<Vec<Extreme>> {
+/// Rows at extremes of the signal that exceed all rows with the same setpoint in the same windows, in
+/// the order of time. The largest ones are always among them. `None` for a sensed signal, which has
+/// no values between the control instants.
+fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, rows: &[Row]) -> Option<Vec<Row>> {
     let scenario = scenario.of_trial(index);
-    let signal = match expectation.signal {
-        "wd_um" => BandSignal::InPhase,
-        "wq_um" => BandSignal::Quadrature,
-        "amplitude_um" => BandSignal::Amplitude,
-        _ => return None,
-    };
-    let ranges = setpoint_ranges(rows, signal, &expectation.windows);
+    let signal = BandSignal::from_column(expectation.signal)?;
+    let ranges = Ranges::new(setpoint_ranges(rows, signal, &expectation.windows));
     let variation = Variation::of_trial(scenario, index);
     if scenario.model == Model::Linear || scenario.plate.first_effect().is_some() || has_moving_modes(scenario) {
         let mut plant = variation.plant(&without_sensor(scenario));
@@ -98,14 +68,43 @@ fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, row
         plant.set_drive(Drive { vpp: 0.0, omega: TAU * start_hz });
         return Some(simulated_extremes(plant, scenario.model, signal, rows, ranges));
     }
-    let plate = variation.plate(&scenario.plate);
-    let mut extremes = Vec::new();
+    let intervals = intervals_with_extremes(scenario.model, &variation.plate(&scenario.plate), signal, rows, ranges);
+    let of_range = intervals.chunk_by(|one, other| one.range.first == other.range.first);
+    let mut extremes: Vec<Row> = of_range
+        .flat_map(|intervals| [1.0, -1.0].map(|sign| largest_extreme(intervals, signal, sign, rows)))
+        .flatten()
+        .collect();
+    extremes.sort_by(|one, other| one.t_s.total_cmp(&other.t_s));
+    Some(extremes)
+}
+
+/// Rows with the same command and the same mode.
+struct Interval {
+    /// Number of the first row.
+    first: usize,
+    motion: Motion,
+    seconds: f64,
+    /// Slow part of W at both ends.
+    ends: [Complex64; 2],
+    /// Bounds of the signal and of its negative.
+    bounds: [f64; 2],
+    range: SetpointRange,
+}
+
+/// The intervals of which a bound exceeds the rows of their range.
+fn intervals_with_extremes(
+    model: Model,
+    plate: &Plate,
+    signal: BandSignal,
+    rows: &[Row],
+    mut ranges: Ranges<impl Iterator<Item = SetpointRange>>,
+) -> Vec<Interval> {
+    let mut intervals = Vec::new();
     let mut conditions = Conditions::default();
-    let mut poles = Poles::new(scenario.model, &plate.mode(&conditions));
+    let mut poles = Poles::new(model, &plate.mode(&conditions));
     let mut command = [0.0; 2];
     let mut driven = Driven::new(&poles, command);
     let (mut fast, mut last) = (Complex64::ZERO, LastStep::default());
-    let mut ranges = Ranges::new(ranges);
     let mut number = 0;
     while let Some([row, next @ ..]) = rows.get(number..).filter(|rest| rest.len() > 1) {
         let w = Complex64::new(row.wd_um, row.wq_um);
@@ -113,41 +112,71 @@ fn find_extremes(scenario: &Scenario, index: u32, expectation: &Expectation, row
         let commanded = [row.frequency_hz, row.drive_vpp];
         if present != conditions {
             conditions = present;
-            let changed = Poles::new(scenario.model, &plate.mode(&conditions));
+            let changed = Poles::new(model, &plate.mode(&conditions));
             fast = poles.fast_part_in(&changed, w, fast);
             (poles, driven) = (changed, Driven::new(&changed, commanded));
         } else if commanded != command {
             driven = Driven::new(&poles, commanded);
         }
         command = commanded;
-        let range = ranges.at(number);
-        let rows_in_range = range.as_ref().map_or(1, |range| range.last - number);
+        let range = ranges.at(number).copied();
+        let rows_in_range = range.map_or(1, |range| range.last - number);
         let same =
             next.iter().take(rows_in_range.min(MAX_INTERVAL_ROWS) - 1).take_while(|next| has_motion_of(row, next));
         let length = 1 + same.count();
         let Some(end) = rows.get(number + length) else { break };
-        let motion = Motion { driven: &driven, slow: w - fast - driven.slow_rest, fast: fast - driven.fast_rest };
+        let motion = Motion { driven, slow: w - fast - driven.slow_rest, fast: fast - driven.fast_rest };
         let seconds = end.t_s - row.t_s;
         let end_fast = last.fast_after(&motion, seconds);
         if let Some(range) = range {
             let end_w = Complex64::new(end.wd_um, end.wq_um);
             let ends = [w - fast, end_w - end_fast].map(|slow| slow + driven.fast_rest);
-            for t in motion.extremes(signal, seconds, ends, range) {
-                let at = row.t_s + t;
-                let place = number + next.iter().take(length - 1).take_while(|next| next.t_s <= at).count();
-                extremes.push((place, row_at(rows.get(place).unwrap_or(row), at, motion.after(t))));
+            let bounds = motion.bounds(signal, 0.0, seconds, ends);
+            if exceeds(bounds[0], range.limit(1.0)) || exceeds(bounds[1], range.limit(-1.0)) {
+                intervals.push(Interval { first: number, motion, seconds, ends, bounds, range });
             }
         }
         fast = end_fast;
         number += length;
     }
-    Some(extremes)
+    intervals
+}
+
+/// The row at the largest value of `sign` times the signal in the intervals of a range; `None` if no
+/// value exceeds the rows. The larger bound first, so that most intervals are not searched.
+fn largest_extreme(intervals: &[Interval], signal: BandSignal, sign: f64, rows: &[Row]) -> Option<Row> {
+    let bound = |interval: &Interval| interval.bounds[usize::from(sign < 0.0)];
+    let mut largest = intervals.first()?.range.limit(sign);
+    let mut ordered: Vec<&Interval> = intervals.iter().filter(|interval| exceeds(bound(interval), largest)).collect();
+    ordered.sort_by(|one, other| bound(other).total_cmp(&bound(one)));
+    let mut found = None;
+    for interval in ordered {
+        if !exceeds(bound(interval), largest) {
+            break;
+        }
+        let mut search = Search { motion: &interval.motion, signal, sign, largest, at: None };
+        search.visit(0.0, interval.seconds, interval.ends);
+        largest = search.largest;
+        found = search.at.map(|t| (interval, t)).or(found);
+    }
+    let (interval, t) = found?;
+    let later = rows.get(interval.first..)?;
+    let at = later.first()?.t_s + t;
+    let before = later.get(later.partition_point(|row| row.t_s <= at).saturating_sub(1))?;
+    Some(row_at(before, at, interval.motion.after(t)))
+}
+
+/// True if the difference is more than a rounding error.
+fn exceeds(value: f64, largest: f64) -> bool {
+    value > largest + ROUNDING_UM
 }
 
 /// True if drive, frequency and mode are the same from `row` on and from `next` on.
 fn has_motion_of(row: &Row, next: &Row) -> bool {
-    let motion = |row: &Row| [row.drive_vpp, row.frequency_hz, row.temperature_offset_k, row.finger_force_n];
-    motion(row) == motion(next)
+    row.drive_vpp == next.drive_vpp
+        && row.frequency_hz == next.frequency_hz
+        && row.temperature_offset_k == next.temperature_offset_k
+        && row.finger_force_n == next.finger_force_n
 }
 
 /// The scenario for a plate without the demodulator, which does not act on the motion.
@@ -163,10 +192,9 @@ fn simulated_extremes(
     model: Model,
     signal: BandSignal,
     rows: &[Row],
-    ranges: impl Iterator<Item = SetpointRange>,
-) -> Vec<Extreme> {
+    mut ranges: Ranges<impl Iterator<Item = SetpointRange>>,
+) -> Vec<Row> {
     let mut extremes = Vec::new();
-    let mut ranges = Ranges::new(ranges);
     let first = plant.plate().omega0;
     let second = plant.plate().effects.second_mode.map_or(first, |second| second.omega0);
     let (slowest, fastest) = (first.min(second), first.max(second));
@@ -202,13 +230,13 @@ fn simulated_extremes(
             let (at, fine) = largest_of(&plant, signal, sign, around, step / POINTS_PER_PERIOD);
             let state = if sign * signal.value(&fine) > sign * signal.value(&coarse) { fine } else { coarse };
             let largest = sign * signal.value(&state);
-            if largest > limit + ROUNDING_UM {
+            if exceeds(largest, limit) {
                 range.raise(sign, largest);
                 found.push((at, state.w));
             }
         }
         found.sort_by_key(|(at, _)| *at);
-        extremes.extend(found.into_iter().map(|(at, w)| (number, row_at(row, at.seconds(), w))));
+        extremes.extend(found.into_iter().map(|(at, w)| row_at(row, at.seconds(), w)));
     }
     extremes
 }
@@ -289,10 +317,9 @@ fn setpoint_ranges<'a>(
     std::iter::from_fn(move || {
         let first = next + rows.get(next..)?.iter().position(is_in_window)?;
         let start = rows.get(first)?;
-        let belongs = |row: &&Row| {
-            row.setpoint_um == start.setpoint_um
-                && windows.iter().all(|window| is_inside(window, row) == is_inside(window, start))
-        };
+        let edges = windows.iter().flat_map(|window| [window.from, window.to]).map(Time::seconds);
+        let edge_s = edges.filter(|edge_s| *edge_s > start.t_s).fold(f64::INFINITY, f64::min);
+        let belongs = |row: &&Row| row.setpoint_um == start.setpoint_um && row.t_s < edge_s;
         let inside = rows.get(first..)?.iter().take_while(belongs);
         let empty = SetpointRange { first, last: first, lowest: f64::INFINITY, highest: f64::NEG_INFINITY };
         let range = inside.enumerate().fold(empty, |range, (place, row)| {
@@ -376,13 +403,13 @@ impl Driven {
 
 /// `W = rests + Σ amplitude e^{pole t}` from a row on, with the amplitude of both parts.
 #[derive(Debug, Clone, Copy)]
-struct Motion<'a> {
-    driven: &'a Driven,
+struct Motion {
+    driven: Driven,
     slow: Complex64,
     fast: Complex64,
 }
 
-impl Motion<'_> {
+impl Motion {
     fn rest(&self) -> Complex64 {
         self.driven.slow_rest + self.driven.fast_rest
     }
@@ -414,30 +441,12 @@ impl Motion<'_> {
         };
         [ends[0].max(ends[1]) + reach, reach - lowest]
     }
-
-    /// Instants of the extremes in an interval of `seconds` that are beyond `range`, in s after its
-    /// start. `ends` are the slow part at both ends.
-    fn extremes(&self, signal: BandSignal, seconds: f64, ends: [Complex64; 2], range: &mut SetpointRange) -> Vec<f64> {
-        let mut found = Vec::new();
-        for (sign, bound) in [1.0, -1.0].into_iter().zip(self.bounds(signal, 0.0, seconds, ends)) {
-            let mut search = Search { motion: self, signal, sign, largest: range.limit(sign), at: None };
-            if search.may_exceed(bound) {
-                search.visit(0.0, seconds, ends);
-            }
-            if let Some(t) = search.at {
-                range.raise(sign, search.largest);
-                found.push(t);
-            }
-        }
-        found.sort_by(f64::total_cmp);
-        found
-    }
 }
 
 /// Searches the largest value of `sign` times the signal in an interval, by bisection. Parts whose
 /// bound does not exceed the largest value so far are not searched.
 struct Search<'a> {
-    motion: &'a Motion<'a>,
+    motion: &'a Motion,
     signal: BandSignal,
     sign: f64,
     largest: f64,
@@ -446,16 +455,12 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn may_exceed(&self, bound: f64) -> bool {
-        bound > self.largest + ROUNDING_UM
-    }
-
     /// `ends` are the slow part at `from` and at `to`.
     fn visit(&mut self, from: f64, to: f64, ends: [Complex64; 2]) {
         if to - from <= self.motion.driven.shortest_period {
             let t = self.largest_between(from, to);
             let largest = self.sign * value_of(self.signal, self.motion.after(t));
-            if self.may_exceed(largest) {
+            if exceeds(largest, self.largest) {
                 (self.largest, self.at) = (largest, Some(t));
             }
             return;
@@ -469,7 +474,7 @@ impl Search<'_> {
         // The larger bound first, so that the other part is probably not searched.
         parts.sort_by(|one, other| other.3.total_cmp(&one.3));
         for (from, to, ends, bound) in parts {
-            if self.may_exceed(bound) {
+            if exceeds(bound, self.largest) {
                 self.visit(from, to, ends);
             }
         }
@@ -525,7 +530,7 @@ struct LastStep {
 
 impl LastStep {
     /// Fast part after `seconds`.
-    fn fast_after(&mut self, motion: &Motion<'_>, seconds: f64) -> Complex64 {
+    fn fast_after(&mut self, motion: &Motion, seconds: f64) -> Complex64 {
         let pole = motion.driven.fast_pole;
         // Instants of rows have rounding errors of 1e-17 s.
         let is_same = self.pole == pole && (self.seconds - seconds).abs() < 1e-16;

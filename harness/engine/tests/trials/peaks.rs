@@ -4,8 +4,7 @@ use crate::fixtures::{LOCKSTEP, plan, run_hosted};
 use platebench_model::record::{Telemetry, Verdict};
 use platebench_model::trace::read_trace;
 use platebench_test_kit::{PLATE, write_scenario};
-use platebench_verdict::metrics::measure;
-use platebench_verdict::rows_with_extremes;
+use platebench_verdict::missed_between_rows;
 use rstest::rstest;
 
 /// With this delay and a row per 0.05 ms, the overshoot of the rows is 4.876 %. The ripple of the
@@ -41,9 +40,9 @@ fn judge_law(
     let expectation = &record.scenarios[0].expectations[0];
     let trace = std::fs::read_dir(out.join("traces")).unwrap().next().unwrap().unwrap().path();
     let rows = read_trace(&trace.join("000.csv")).unwrap();
-    let exact = rows_with_extremes(&scenario, 0, &scenario.expectations[0], &rows).unwrap();
-    let exact = measure(&scenario.expectations[0], &exact, &Telemetry::default()).value().unwrap();
-    (expectation.value.unwrap(), expectation.verdict, exact)
+    let value = expectation.value.unwrap();
+    let missed = missed_between_rows(&scenario, 0, &scenario.expectations[0], &rows, &Telemetry::default(), value);
+    (value, expectation.verdict, value + missed.unwrap())
 }
 
 fn judge(delay_ms: f64, trace_step_ms: f64, expect: &str) -> (f64, Verdict) {

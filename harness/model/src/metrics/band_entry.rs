@@ -40,11 +40,12 @@ fn settling_time(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue
     if last.setpoint_um == 0.0 {
         return Err(UndefinedValue::NoBand);
     }
-    let measure = match last_band_entry(input, rows) {
+    let outside = last_outside(input, rows);
+    let measure = match last_band_entry(input, rows, outside) {
         Some(entry) => elapsed_ms(first.t_s, entry),
         None => Measure::Missing(MissingValue::NeverSettles),
     };
-    Ok(Measurement { measure, worst: last_outside(input, rows) })
+    Ok(Measurement { measure, worst: point(input, rows, outside) })
 }
 
 fn recovery_time(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue> {
@@ -52,27 +53,31 @@ fn recovery_time(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue
     if rows.last().is_none_or(|row| row.setpoint_um == 0.0) {
         return Err(UndefinedValue::NoSetpointToRecoverTo);
     }
-    let measure = match last_band_entry(input, rows) {
+    let outside = last_outside(input, rows);
+    let measure = match last_band_entry(input, rows, outside) {
         Some(entry) if rows.first().is_some_and(|first| entry == [first.t_s; 2]) => Measure::Value(0.0),
         Some(entry) => elapsed_ms(input.from_s, entry),
         None => Measure::Missing(MissingValue::NeverRecovers),
     };
-    Ok(Measurement { measure, worst: last_outside(input, rows) })
+    Ok(Measurement { measure, worst: point(input, rows, outside) })
 }
 
-fn last_outside(input: &MeasureInput<'_>, rows: &[Row]) -> Vec<SignalPoint> {
-    rows.iter().rfind(|row| input.is_outside(row)).map(|row| input.point(row)).into_iter().collect()
+/// Number of the last row outside the band.
+fn last_outside(input: &MeasureInput<'_>, rows: &[Row]) -> Option<usize> {
+    rows.iter().rposition(input.is_outside())
+}
+
+fn point(input: &MeasureInput<'_>, rows: &[Row], number: Option<usize>) -> Vec<SignalPoint> {
+    number.and_then(|number| rows.get(number)).map(|row| input.point(row)).into_iter().collect()
 }
 
 /// Interval, s, that contains the last entry into the band. Both ends are equal for a signal that
-/// is known between rows. `None` if the signal ends outside.
-fn last_band_entry(input: &MeasureInput<'_>, rows: &[Row]) -> Option<[f64; 2]> {
+/// is known between rows. `None` if the signal ends outside. `outside` is the last row there.
+fn last_band_entry(input: &MeasureInput<'_>, rows: &[Row], outside: Option<usize>) -> Option<[f64; 2]> {
     if input.signal.is_zero_order_hold {
         return last_sampled_band_entry(input, rows);
     }
-    let Some(outside) = rows.iter().rposition(|row| input.is_outside(row)) else {
-        return rows.first().map(|row| [row.t_s; 2]);
-    };
+    let Some(outside) = outside else { return rows.first().map(|row| [row.t_s; 2]) };
     let (left, entered) = (rows.get(outside)?, rows.get(outside + 1)?);
     // Distance from the edge through which the signal enters. The edge may move between the rows.
     let below = input.value_in(left) < input.band(left.setpoint_um).0;
@@ -92,7 +97,8 @@ fn last_sampled_band_entry(input: &MeasureInput<'_>, rows: &[Row]) -> Option<[f6
     // Rows between control instants repeat the last sample; a trace without flags has samples only.
     let mut samples = rows.iter().filter(|row| !has_flags || row.flags.contains(Flags::CONTROL));
     let start = rows.first()?.t_s;
-    let outside = samples.clone().rfind(|row| input.is_outside(row)).map(|row| row.t_s);
+    let mut is_outside = input.is_outside();
+    let outside = samples.clone().rfind(|row| is_outside(row)).map(|row| row.t_s);
     let entered = samples.find(|row| outside.is_none_or(|outside| row.t_s > outside))?;
     Some([outside.unwrap_or(start), entered.t_s])
 }

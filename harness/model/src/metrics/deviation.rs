@@ -1,6 +1,6 @@
 //! Measures how far the signal goes from the setpoint: beyond a step, or in a window.
 
-use super::input::{MeasureInput, largest_row};
+use super::input::MeasureInput;
 use super::measurement::{Measurement, UndefinedValue};
 use super::spec::{DriveBound, Levels, LimitMarkSpec, MetricSpec, Unit, WindowRule};
 use crate::trace::Row;
@@ -36,16 +36,17 @@ fn overshoot(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue> {
         return Err(UndefinedValue::NoNetStep);
     }
     let beyond = |row: &Row| (input.value_in(row) - setpoint) / step;
-    let worst = largest_row(rows, beyond);
-    let value = worst.map_or(0.0, beyond).max(0.0) * 100.0;
-    Ok(Measurement::value_at(value, worst.map(|row| input.point(row))))
+    let worst = input.largest(rows, beyond);
+    let value = worst.map_or(0.0, |(value, _)| value).max(0.0) * 100.0;
+    Ok(Measurement::value_at(value, worst.map(|(_, row)| input.point(row))))
 }
 
 fn peak_deviation(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue> {
-    let rows = input.window_rows();
-    let deviation = |row: &Row| (input.value_in(row) - row.setpoint_um).abs() / row.setpoint_um;
-    let peak = rows.iter().filter(|row| row.setpoint_um > 0.0).map(deviation).reduce(f64::max);
-    let value = peak.ok_or(UndefinedValue::NoSetpointToDeviateFrom)? * 100.0;
-    let worst = largest_row(rows, |row| if row.setpoint_um > 0.0 { deviation(row) } else { 0.0 });
-    Ok(Measurement::value_at(value, worst.map(|row| input.point(row))))
+    let deviation = |row: &Row| {
+        let has_setpoint = row.setpoint_um > 0.0;
+        if has_setpoint { (input.value_in(row) - row.setpoint_um).abs() / row.setpoint_um } else { f64::NAN }
+    };
+    let worst = input.largest(input.window_rows(), deviation).filter(|(_, row)| row.setpoint_um > 0.0);
+    let (value, row) = worst.ok_or(UndefinedValue::NoSetpointToDeviateFrom)?;
+    Ok(Measurement::value_at(value * 100.0, [input.point(row)]))
 }

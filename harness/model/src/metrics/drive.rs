@@ -15,8 +15,8 @@ pub(super) const DRIVE_PEAK: MetricSpec = MetricSpec {
     name: "drive_peak_vpp",
     definition: "highest drive",
     measure: |input| {
-        let highest = drives(input).fold(0.0, f64::max);
-        Ok(Measurement::value_at(highest, highest_drive(input)))
+        let (highest, point) = highest_drive(input).unzip();
+        Ok(Measurement::value_at(highest.map_or(0.0, |vpp| vpp.max(0.0)), point))
     },
     ..DRIVE
 };
@@ -26,8 +26,8 @@ pub(super) const REST_DRIVE: MetricSpec = MetricSpec {
     definition: "largest drive while the setpoint is 0, from one period and loop delay after it became 0",
     window: WindowRule::SetpointZero,
     measure: |input| {
-        let highest = drives(input).reduce(f64::max).ok_or(UndefinedValue::EmptyWindow)?;
-        Ok(Measurement::value_at(highest, highest_drive(input)))
+        let (highest, point) = highest_drive(input).ok_or(UndefinedValue::EmptyWindow)?;
+        Ok(Measurement::value_at(highest, [point]))
     },
     ..DRIVE
 };
@@ -41,14 +41,10 @@ pub(super) const SATURATED: MetricSpec = MetricSpec {
     ..MetricSpec::DEFAULT
 };
 
-fn drives(input: &MeasureInput<'_>) -> impl Iterator<Item = f64> {
-    input.window_rows_with_previous().iter().map(|row| row.drive_vpp)
-}
-
 /// The row before the window counts at the start of the window.
-fn highest_drive(input: &MeasureInput<'_>) -> Option<SignalPoint> {
-    let row = largest_row(input.window_rows_with_previous(), |row| row.drive_vpp)?;
-    Some(SignalPoint::new(row.t_s.max(input.from_s), row.drive_vpp))
+fn highest_drive(input: &MeasureInput<'_>) -> Option<(f64, SignalPoint)> {
+    let (highest, row) = largest_row(input.window_rows_with_previous().iter(), |row| row.drive_vpp)?;
+    Some((highest, SignalPoint::new(row.t_s.max(input.from_s), highest)))
 }
 
 fn flagged_share(rows: &[Row], flag: Flags) -> f64 {

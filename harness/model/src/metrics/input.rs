@@ -16,6 +16,9 @@ use serde::{Deserialize, Serialize};
 pub struct MeasureInput<'a> {
     /// All rows of the trial.
     pub rows: &'a [Row],
+    /// Rows at extremes of the signal between `rows`, if a search found them. Only the metrics of
+    /// extremes read them.
+    pub extremes: &'a [Row],
     pub from_s: f64,
     /// End of the window. A row at this instant belongs to the next window, except at the end of
     /// the trace.
@@ -105,9 +108,24 @@ impl<'a> MeasureInput<'a> {
         band_around(setpoint, self.band_percent)
     }
 
-    pub(crate) fn is_outside(&self, row: &Row) -> bool {
-        let (low, high) = self.band(row.setpoint_um);
-        !(low..=high).contains(&self.value_in(row))
+    /// Returns whether the signal of a row is outside the band. Most rows have one setpoint, so the
+    /// band is computed if it changes.
+    pub(crate) fn is_outside(&self) -> impl FnMut(&Row) -> bool {
+        let (mut setpoint, mut band) = (f64::NAN, (f64::NAN, f64::NAN));
+        move |row| {
+            if setpoint != row.setpoint_um {
+                (setpoint, band) = (row.setpoint_um, self.band(row.setpoint_um));
+            }
+            !(band.0..=band.1).contains(&self.value_in(row))
+        }
+    }
+
+    /// The largest `value` of the rows and of the extremes between them, and its last row.
+    pub(crate) fn largest(&self, rows: &'a [Row], value: impl Fn(&Row) -> f64) -> Option<(f64, &'a Row)> {
+        let between = rows.first().zip(rows.last()).map(|(first, last)| first.t_s..=last.t_s);
+        let extremes =
+            self.extremes.iter().filter(|row| between.as_ref().is_some_and(|times| times.contains(&row.t_s)));
+        largest_row(rows.iter().chain(extremes), value)
     }
 
     pub(crate) fn window_rows(&self) -> &'a [Row] {
@@ -159,10 +177,13 @@ fn end_index(to_s: f64, rows: &[Row]) -> usize {
     if is_last { rows.len() } else { rows.partition_point(|row| row.t_s < to_s) }
 }
 
-/// The last row with the largest value.
-pub(crate) fn largest_row(rows: &[Row], value: impl Fn(&Row) -> f64) -> Option<&Row> {
-    let values = rows.iter().map(|row| (value(row), row));
-    values.max_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, row)| row)
+/// The largest value, and the last row that has it. A value that is NaN is not the largest.
+pub(crate) fn largest_row<'a>(
+    rows: impl Iterator<Item = &'a Row>,
+    value: impl Fn(&Row) -> f64,
+) -> Option<(f64, &'a Row)> {
+    let values = rows.map(|row| (value(row), row));
+    values.reduce(|largest, next| if next.0 >= largest.0 || largest.0.is_nan() { next } else { largest })
 }
 
 /// Indices of the rows at which steps start. A constant setpoint above 0 steps at the start. A ramp

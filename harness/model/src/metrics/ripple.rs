@@ -1,7 +1,7 @@
 //! Measures the largest minus the smallest value of the signal over a window.
 
-use super::input::{MeasureInput, largest_row};
-use super::measurement::{Measurement, UndefinedValue};
+use super::input::MeasureInput;
+use super::measurement::{Measurement, SignalPoint, UndefinedValue};
 use super::spec::{Levels, LimitMarkSpec, MetricSpec, Unit, WindowRule};
 
 pub(super) const MICROMETRES: MetricSpec = MetricSpec {
@@ -11,7 +11,7 @@ pub(super) const MICROMETRES: MetricSpec = MetricSpec {
     window: WindowRule::ConstantSetpoint,
     takes_signal: true,
     mark: Some(LimitMarkSpec { signal: None, levels: Levels::None, label: "extremes" }),
-    measure: |input| measurement(input, ripple_um(input)?),
+    measure: |input| ripple_um(input).map(|(um, worst)| Measurement::value_at(um, worst)),
     ..MetricSpec::DEFAULT
 };
 
@@ -25,22 +25,17 @@ pub(super) const PERCENT: MetricSpec = MetricSpec {
 };
 
 fn ripple_percent(input: &MeasureInput<'_>) -> Result<Measurement, UndefinedValue> {
-    let um = ripple_um(input)?;
+    let (um, worst) = ripple_um(input)?;
     let setpoint = input.window_rows().first().map(|row| row.setpoint_um).filter(|setpoint| *setpoint > 0.0);
-    measurement(input, um / setpoint.ok_or(UndefinedValue::ZeroSetpoint)? * 100.0)
+    let percent = um / setpoint.ok_or(UndefinedValue::ZeroSetpoint)? * 100.0;
+    Ok(Measurement::value_at(percent, worst))
 }
 
-fn ripple_um(input: &MeasureInput<'_>) -> Result<f64, UndefinedValue> {
-    let values = || input.window_rows().iter().map(|row| input.value_in(row));
-    let ends = values().reduce(f64::max).zip(values().reduce(f64::min));
-    ends.map(|(high, low)| high - low).ok_or(UndefinedValue::EmptyWindow)
-}
-
-/// The value, at the row with the largest and the row with the smallest signal.
-#[expect(clippy::unnecessary_wraps, reason = "the result of a metric")]
-fn measurement(input: &MeasureInput<'_>, value: f64) -> Result<Measurement, UndefinedValue> {
+/// The ripple in µm, and the points with the largest and with the smallest signal.
+fn ripple_um(input: &MeasureInput<'_>) -> Result<(f64, [SignalPoint; 2]), UndefinedValue> {
     let rows = input.window_rows();
-    let highest = largest_row(rows, |row| input.value_in(row));
-    let lowest = largest_row(rows, |row| -input.value_in(row));
-    Ok(Measurement::value_at(value, highest.into_iter().chain(lowest).map(|row| input.point(row))))
+    let highest = input.largest(rows, |row| input.value_in(row));
+    let lowest = input.largest(rows, |row| -input.value_in(row));
+    let ((highest, high), (lowest, low)) = highest.zip(lowest).ok_or(UndefinedValue::EmptyWindow)?;
+    Ok((highest + lowest, [high, low].map(|row| input.point(row))))
 }
