@@ -203,14 +203,14 @@ impl Campaign {
         })
     }
 
-    pub fn tables(&self, seed: u64, values: &[f64]) -> Result<ScenarioTables, String> {
+    pub(crate) fn tables(&self, seed: u64, values: &[f64]) -> Result<ScenarioTables, Diagnostic> {
         let changes = self
             .variables
             .iter()
             .zip(values)
             .map(|(variable, value)| (&*variable.key, variable.distribution.value(*value)));
         let seed = ("trials.seed", Value::Integer(i64::try_from(seed).unwrap_or(i64::MAX)));
-        self.template.tables(changes.chain([seed]))
+        self.template.tables(changes.chain([seed])).map_err(|message| Diagnostic::for_file(&self.path, message))
     }
 
     pub const fn chain_trials(&self) -> u64 {

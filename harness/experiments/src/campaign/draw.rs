@@ -8,7 +8,6 @@ use crate::campaign::error::CampaignError;
 use crate::campaign::rare::{self, ChainEstimate};
 use crate::campaign::search::search;
 use platebench_engine::RunError;
-use platebench_model::scenario::load::ScenarioTables;
 use platebench_model::scenario::{Diagnostic, Scenario};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -28,7 +27,6 @@ pub struct DrawnTrial {
     /// One number per variable. For listed values it is the index of the chosen value, from 0.
     pub values: Vec<f64>,
     pub redraws: u32,
-    pub tables: ScenarioTables,
     pub scenario: Scenario,
 }
 
@@ -58,14 +56,11 @@ impl Campaign {
 
     pub(crate) fn trial_with(&self, number: u64, values: Vec<f64>, redraws: u32) -> Result<DrawnTrial, CampaignError> {
         let seed = self.seed_of(number);
-        let refuse = |message: &str| Diagnostic::for_file(&self.path, message);
-        let checked = self.tables(seed, &values).map_err(|message| refuse(&message)).and_then(|tables| {
-            let scenario = self.template.check(&tables);
-            let first = |problems: Vec<Diagnostic>| problems.into_iter().next().unwrap_or_else(|| refuse("refused"));
-            scenario.map(|scenario| (tables, scenario)).map_err(first)
-        });
+        let refused = || Diagnostic::for_file(&self.path, "refused");
+        let first = |problems: Vec<Diagnostic>| problems.into_iter().next().unwrap_or_else(refused);
+        let checked = self.tables(seed, &values).and_then(|tables| self.template.check(&tables).map_err(first));
         let problem = match checked {
-            Ok((tables, scenario)) => return Ok(DrawnTrial { number, seed, values, redraws, tables, scenario }),
+            Ok(scenario) => return Ok(DrawnTrial { number, seed, values, redraws, scenario }),
             Err(problem) => problem,
         };
         let values = self.variables.iter().zip(&values);

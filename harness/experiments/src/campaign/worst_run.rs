@@ -144,12 +144,13 @@ fn write_trial(
     trial: &DrawnTrial,
     copies: &mut Copies<'_>,
 ) -> Result<(), CampaignError> {
-    let mut scenario = trial.tables.scenario.clone();
+    let tables = campaign.tables(trial.seed, &trial.values).map_err(|problem| CampaignError::Files(vec![problem]))?;
+    let mut scenario = campaign.template.scenario_table(&tables);
     scenario.insert("title".to_owned(), Value::String(campaign.title_of(trial)));
     if let Some(controller) = scenario.get_mut("controller").and_then(Value::as_table_mut) {
         copies.copy(controller, "design_plate", PLATES)?;
     }
-    if let Some(plate) = &trial.tables.plate {
+    if let Some(plate) = &tables.plate {
         let name = format!("{PLATES}/trial-{}.toml", trial.number);
         write_toml(folder, &name, plate, "")?;
         scenario.insert("plate".to_owned(), Value::String(name));

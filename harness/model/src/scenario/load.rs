@@ -107,21 +107,27 @@ pub(crate) const NOT_UTF8: &str = "the name is not UTF-8, so a record cannot con
 pub const PLATE_PREFIX: &str = "plate.";
 /// Name of a changed plate in the scenario's folder. No file has this name.
 const CHANGED_PLATE: &str = "changed-plate.toml";
+const SEED: &str = "trials.seed";
 
 #[derive(Debug, Clone)]
 pub struct ScenarioTemplate {
     opened: SourceFile,
     file: String,
     table: Table,
+    /// `table` after its check.
+    raw: RawScenario,
     plate_name: String,
     plate: KnownPlate,
     plate_table: Table,
     pub scenario: Scenario,
 }
 
-#[derive(Debug, Clone)]
+/// Replaced values of a template.
+#[derive(Debug, Clone, Default)]
 pub struct ScenarioTables {
-    pub scenario: Table,
+    /// `None` if nothing but the plate and the seed changes.
+    scenario: Option<Table>,
+    seed: Option<i64>,
     /// `None` if the plate is unchanged.
     pub plate: Option<Table>,
 }
@@ -143,6 +149,8 @@ impl ScenarioTemplate {
         if !problems.is_empty() {
             return Err(problems);
         }
+        let raw = RawScenario::deserialize(table.clone())
+            .map_err(|error| vec![Diagnostic::from_toml(&opened.path, &opened.text, &error)])?;
         let plate_name = table.get("plate").and_then(Value::as_str).unwrap_or_default().to_owned();
         let plate_path = path.parent().unwrap_or_else(|| Path::new(".")).join(&plate_name);
         let plate_text = read(&plate_path)?;
@@ -150,28 +158,59 @@ impl ScenarioTemplate {
         let plate = load_plate(&plate_path)?;
         let plate = KnownPlate { path: plate_path, plate, text: plate_text };
         let file = scenario.file.clone();
-        Ok(Self { opened, file, table, plate_name, plate, plate_table, scenario })
+        Ok(Self { opened, file, table, raw, plate_name, plate, plate_table, scenario })
     }
 
     /// Replaces the values at dotted keys. Fails if a key leads through a number, a text or a
     /// missing element of a list.
     pub fn tables<'a>(&self, changes: impl IntoIterator<Item = (&'a str, Value)>) -> Result<ScenarioTables, String> {
-        let mut tables = ScenarioTables { scenario: self.table.clone(), plate: None };
+        let mut tables = ScenarioTables::default();
         for (key, value) in changes {
-            match key.strip_prefix(PLATE_PREFIX) {
-                Some(key) => set(tables.plate.get_or_insert_with(|| self.plate_table.clone()), key, value)?,
-                None => set(&mut tables.scenario, key, value)?,
+            match (key.strip_prefix(PLATE_PREFIX), &value) {
+                (Some(key), _) => set(tables.plate.get_or_insert_with(|| self.plate_table.clone()), key, value)?,
+                (None, Value::Integer(seed @ 0..)) if key == SEED => tables.seed = Some(*seed),
+                (None, _) => set(tables.scenario.get_or_insert_with(|| self.table.clone()), key, value)?,
             }
+        }
+        Ok(tables)
+    }
+
+    /// The table of the scenario file with the replaced values.
+    pub fn scenario_table(&self, tables: &ScenarioTables) -> Table {
+        let mut scenario = tables.scenario.as_ref().unwrap_or(&self.table).clone();
+        let table_of = |scenario: &mut Table, name: &str, change: &dyn Fn(&mut Table)| {
+            // A value that is no table is an error of the check.
+            if let Value::Table(table) = scenario.entry(name).or_insert_with(|| Value::Table(Table::new())) {
+                change(table);
+            }
+        };
+        if let Some(seed) = tables.seed {
+            table_of(&mut scenario, "trials", &|trials| {
+                trials.insert("seed".to_owned(), Value::Integer(seed));
+            });
         }
         if tables.plate.is_some() {
             // Keeps the controller configured for the unchanged plate.
-            let controller = tables.scenario.entry("controller").or_insert_with(|| Value::Table(Table::new()));
-            if let Value::Table(controller) = controller {
+            table_of(&mut scenario, "controller", &|controller| {
                 controller.entry("design_plate").or_insert_with(|| Value::String(self.plate_name.clone()));
-            }
-            tables.scenario.insert("plate".to_owned(), Value::String(CHANGED_PLATE.to_owned()));
+            });
+            scenario.insert("plate".to_owned(), Value::String(CHANGED_PLATE.to_owned()));
         }
-        Ok(tables)
+        scenario
+    }
+
+    /// [`Self::scenario_table`] after its check.
+    fn raw_scenario(&self, tables: &ScenarioTables) -> Result<RawScenario, Vec<Diagnostic>> {
+        if tables.scenario.is_some() {
+            return from_table(&self.scenario_table(tables), &self.table, &SCENARIO_SCHEMA, &self.opened.source());
+        }
+        let mut raw = self.raw.clone();
+        raw.trials.seed = tables.seed.unwrap_or(raw.trials.seed);
+        if tables.plate.is_some() {
+            raw.controller.design_plate.get_or_insert_with(|| PathBuf::from(&self.plate_name));
+            raw.plate = PathBuf::from(CHANGED_PLATE);
+        }
+        Ok(raw)
     }
 
     /// Checks the tables like [`super::load()`]. Diagnostics point into the unchanged files.
@@ -181,9 +220,8 @@ impl ScenarioTemplate {
         if let Some(table) = &tables.plate {
             known.push(KnownPlate { path: folder.join(CHANGED_PLATE), ..self.changed_plate(table)? });
         }
-        let source = self.opened.source();
-        let raw: RawScenario = from_table(&tables.scenario, &self.table, &SCENARIO_SCHEMA, &source)?;
-        Checker { source, prefix: String::new(), plates: &known }.check(raw, &self.file)
+        let raw = self.raw_scenario(tables)?;
+        Checker { source: self.opened.source(), prefix: String::new(), plates: &known }.check(raw, &self.file)
     }
 
     fn changed_plate(&self, table: &Table) -> Result<KnownPlate, Vec<Diagnostic>> {

@@ -338,21 +338,21 @@ pub struct RawFault {
     pub ppm: Option<f64>,
 }
 
-/// A key of `[[expect]]` and the metrics that it applies to.
-type MetricKey = (&'static str, fn(Metric) -> bool);
+/// A key of `[[expect]]`, the metrics that it applies to, and whether an expectation has it.
+type MetricKey = (&'static str, fn(Metric) -> bool, fn(&RawExpectation) -> bool);
 
 /// Keys of an `[[expect]]` that apply to some metrics only.
 pub(crate) const METRIC_KEYS: [MetricKey; 10] = [
-    ("band_percent", Metric::has_band),
-    ("from_ms", Metric::has_from_ms),
-    ("until_ms", Metric::has_from_ms),
-    ("after", has_any_after),
-    ("window_ms", Metric::has_window_ms),
-    ("signal", Metric::has_signal),
-    ("text", Metric::has_text),
-    ("tolerance_percent", Metric::has_over),
-    ("over", Metric::has_over),
-    ("quantile", Metric::has_over),
+    ("band_percent", Metric::has_band, |raw| raw.band_percent.is_some()),
+    ("from_ms", Metric::has_from_ms, |raw| raw.from_ms.is_some()),
+    ("until_ms", Metric::has_from_ms, |raw| raw.until_ms.is_some()),
+    ("after", has_any_after, |raw| raw.after.is_some()),
+    ("window_ms", Metric::has_window_ms, |raw| raw.window_ms.is_some()),
+    ("signal", Metric::has_signal, |raw| raw.signal.is_some()),
+    ("text", Metric::has_text, |raw| raw.text.is_some()),
+    ("tolerance_percent", Metric::has_over, |raw| raw.tolerance_percent.is_some()),
+    ("over", Metric::has_over, |raw| raw.over.is_some()),
+    ("quantile", Metric::has_over, |raw| raw.quantile.is_some()),
 ];
 
 fn has_any_after(metric: Metric) -> bool {

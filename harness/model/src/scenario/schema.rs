@@ -232,7 +232,7 @@ pub(crate) fn expectations(schema: &mut Schema) {
     let limits = ["at_most", "at_least", "within", "about"].map(required);
     let mut rules: Vec<Schema> = METRIC_KEYS
         .iter()
-        .map(|(key, applies)| {
+        .map(|(key, applies, _)| {
             let metrics = Metric::ALL.iter().filter(|metric| applies(**metric));
             only_for_rule("metric", metrics.map(|metric| metric.name()), &[*key])
         })

@@ -9,7 +9,7 @@ use crate::scenario::fault::Fault;
 use crate::scenario::load::checker::{Checker, TrialContext};
 use crate::scenario::raw::{
     DEFAULT_BAND_PERCENT, DEFAULT_CONFIDENCE, DEFAULT_QUANTILE, DEFAULT_SIGNAL, DEFAULT_TOLERANCE_PERCENT, METRIC_KEYS,
-    RawExpectation, RawWindow, keys_of,
+    RawExpectation, RawWindow,
 };
 use crate::scenario::window::{ChangingProfile, Window};
 use platebench_plate::{Profile, Time};
@@ -54,13 +54,15 @@ impl Checker<'_> {
         let Some(metric) = Metric::from_name(&raw.metric) else {
             return self.unknown_name("metric", "unknown metric ", &raw.metric, Metric::NAMES);
         };
-        let given = keys_of(raw);
-        let has = |key: &str| given.iter().any(|given| given == key);
-        let excluded = METRIC_KEYS.iter().filter(|(_, applies)| !applies(metric)).map(|(key, _)| *key);
-        let excluded = excluded
-            .chain(raw.about.is_none().then_some("tolerance_percent"))
-            .chain((raw.over.as_deref() != Some("quantile")).then_some("quantile"));
-        if let Some(key) = excluded.into_iter().find(|key| has(key)) {
+        let applies_to_limits = |key: &str| match key {
+            "tolerance_percent" => raw.about.is_some(),
+            "quantile" => raw.over.as_deref() == Some("quantile"),
+            _ => true,
+        };
+        let excluded = METRIC_KEYS
+            .iter()
+            .find(|(key, applies, is_given)| is_given(raw) && !(applies(metric) && applies_to_limits(key)));
+        if let Some((key, ..)) = excluded {
             return self.error(key, format!("`{key}` does not apply to this expectation of {metric}"));
         }
         self.one_line("name", &name)?;

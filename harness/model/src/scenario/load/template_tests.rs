@@ -41,6 +41,22 @@ fn a_changed_plate_is_played_and_the_own_plate_configured() {
     assert_eq!((scenario.plate.gain, scenario.design_plate().gain), (0.008, 0.00698));
 }
 
+/// A scenario whose own values are replaced is read from its table.
+#[test]
+fn a_changed_plate_and_seed_give_the_scenario_of_the_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let template = template(&folder);
+    let changes = [("plate.mode.gain_um_per_vpp", Value::Float(0.008)), ("trials.seed", Value::Integer(7))];
+    let same_title = ("title", Value::String("x".to_owned()));
+    let [short, whole] = [changes.to_vec(), [changes.to_vec(), vec![same_title]].concat()].map(|changes| {
+        let tables = template.tables(changes).unwrap();
+        (format!("{:?}", template.check(&tables).unwrap()), template.scenario_table(&tables))
+    });
+    assert_eq!(short, whole);
+    assert!(short.0.contains("seed: 7"), "{}", short.0);
+    assert_eq!(short.1["trials"]["seed"], Value::Integer(7));
+}
+
 #[test]
 fn names_a_wrong_key_and_a_wrong_value() {
     let folder = tempfile::tempdir().unwrap();

@@ -120,7 +120,7 @@ fn values_of_a_case_can_be_replaced() {
     let path = folder.path().join("m-1-dq-pi.toml");
     let template = load_template(&path, "m-1-dq-pi.toml", |_| {}).unwrap();
     let tables = template.tables([("profile.setpoint_um", Value::Float(0.5))]).unwrap();
-    assert!(!tables.scenario.contains_key("matrix"));
+    assert!(!template.scenario_table(&tables).contains_key("matrix"));
     let changed = template.check(&tables).unwrap();
     assert_eq!((changed.controller.law.as_str(), changed.setpoint.at(changed.duration)), ("dq-pi", 0.5));
     let tables = template.tables([("profile.setpoint_um", Value::Float(-1.0))]).unwrap();
