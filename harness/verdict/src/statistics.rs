@@ -6,6 +6,7 @@
 
 mod bootstrap;
 mod incomplete_beta;
+mod ranks;
 mod sample;
 mod student;
 
@@ -14,6 +15,7 @@ use platebench_model::record::EvidenceMethod;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 use std::convert::Infallible;
 
+pub use ranks::{rank_correlation, rank_correlation_bounds, rank_index, ranks};
 pub use sample::SampleSummary;
 use sample::is_rejected;
 pub use student::student_quantile;
