@@ -5,11 +5,10 @@
 
 use crate::cancel::CancelToken;
 use crate::link::{Link, LinkError, LinkKind};
-use crate::session::RigError;
+use crate::rejected_bytes::RejectedBytes;
+use crate::rig_error::RigError;
 use crate::wait_budget::WaitBudget;
-use platebench_model::in_quotes;
-use platebench_wire::{FaultReport, FrameError, Identity, Message, Packet, PacketError, PacketReader};
-use std::fmt;
+use platebench_wire::{FaultReport, Identity, Message, Packet, PacketReader};
 use std::thread;
 use std::time::{Duration, Instant};
 use tracing::debug;
@@ -25,10 +24,6 @@ pub(crate) const HELLO_NUMBER: u8 = 0;
 const QUIET: Duration = Duration::from_millis(100);
 const MAX_DRAIN: Duration = Duration::from_secs(1);
 const DRAIN_POLL_INTERVAL: Duration = Duration::from_millis(5);
-/// Largest number of quoted characters of text that the other side sent.
-const MAX_TEXT: usize = 80;
-/// Shorter texts are as likely noise.
-const MIN_TEXT: usize = 4;
 
 /// `exit` returns how the controller's program ended, if it did.
 pub(crate) fn handshake<L: Link + ?Sized>(
@@ -113,8 +108,9 @@ impl HandshakeAnswers {
         }
     }
 
-    fn rejected(self) -> RejectedBytes {
-        RejectedBytes { bytes: self.rejected.bytes + self.unfinished, ..self.rejected }
+    fn rejected(mut self) -> RejectedBytes {
+        self.rejected.bytes += self.unfinished;
+        self.rejected
     }
 
     /// Adds the text of a server that closes the connection, such as "Port already in use".
@@ -144,57 +140,6 @@ fn drain<L: Link + ?Sized>(link: &mut L, cancel: &CancelToken) -> Result<(), Rig
         thread::sleep(DRAIN_POLL_INTERVAL);
     }
     Ok(())
-}
-
-/// Bytes before the identity that are no valid frame. Prints them as the second part of a sentence.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct RejectedBytes {
-    pub bytes: u64,
-    pub frames: u32,
-    pub last: Option<PacketError>,
-    start: Vec<u8>,
-}
-
-impl RejectedBytes {
-    fn keep_start(&mut self, byte: u8) {
-        if self.start.len() <= MAX_TEXT {
-            self.start.push(byte);
-        }
-    }
-
-    /// The first bytes in quotes, if they are a text.
-    fn text(&self) -> Option<String> {
-        quoted_text(&self.start)
-    }
-}
-
-/// Returns `bytes` in quotes if they are a printable text in ASCII, shortened to one line.
-pub(crate) fn quoted_text(bytes: &[u8]) -> Option<String> {
-    let text = str::from_utf8(bytes).ok()?.trim();
-    let is_text = |letter: char| letter == ' ' || letter.is_ascii_graphic() || letter.is_ascii_whitespace();
-    (text.len() >= MIN_TEXT && text.chars().all(is_text)).then(|| in_quotes(text, MAX_TEXT))
-}
-
-impl fmt::Display for RejectedBytes {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { bytes, frames, last, .. } = self;
-        if *bytes == 0 {
-            return formatter.write_str("; no byte was rejected");
-        }
-        write!(formatter, "; {bytes} bytes were rejected")?;
-        if let Some(last) = last {
-            let problem = match last {
-                PacketError::Frame(FrameError::Checksum) => "a wrong CRC",
-                PacketError::Frame(FrameError::InvalidCobs) => "invalid COBS",
-                PacketError::Frame(FrameError::Overlong) => "no end within the length of a frame",
-                PacketError::Frame(FrameError::Truncated) => "no room for a CRC",
-                PacketError::Message(_) => "a message that the protocol does not have",
-            };
-            let noun = if *frames == 1 { "frame" } else { "frames" };
-            write!(formatter, " in {frames} {noun}, the last one has {problem}")?;
-        }
-        self.text().map_or(Ok(()), |text| write!(formatter, "; they begin with {text}"))
-    }
 }
 
 #[cfg(test)]

@@ -28,7 +28,9 @@ mod port;
 #[cfg(feature = "probe")]
 pub mod probe;
 pub mod protocol_check;
+mod rejected_bytes;
 mod rejected_frame;
+mod rig_error;
 pub mod rigs;
 // The link of the test kit with the types of this build. The kit has those of the library.
 #[cfg(test)]
@@ -52,7 +54,6 @@ pub use factory::{
     Argument, BUILT_IN_IMAGE, Capability, ConnectError, ConnectOptions, FirmwareImage, Rig, RigFactory, RigProperties,
 };
 pub use fault_injector::FaultInjector;
-pub use handshake::RejectedBytes;
 pub use link::{
     BoxedLink, Chip, ChipFaultError, ChipFaultPlan, DatedChipFault, Link, LinkError, LinkKind, RealTimeLine,
     TargetError, UnsupportedAccess,
@@ -61,13 +62,15 @@ pub use port::{DEFAULT_REPLY_TIMEOUT, PtyLink};
 pub use protocol_check::{
     CheckOptions, ProtocolCheck, ProtocolCoverage, ScriptDifference, check_protocol, is_defined_law,
 };
+pub use rejected_bytes::RejectedBytes;
 pub use rejected_frame::RejectedFrame;
+pub use rig_error::RigError;
 pub use rigs::exec::{ExecError, ExecLink};
 pub use rigs::hosted::HostedLink;
 pub use rigs::serial::{BaudTooLow, check_baud, minimum_baud};
 pub use rigs::{NetworkError, RIGS, RigSpec, SpecError, may_come_back, rig_syntaxes};
 pub use serial_port::{LockHolder, SerialError, SerialLink, lock_file};
-pub use session::{ReceivedMessage, Reply, RigError, SafeEnd, Session, printable_name};
+pub use session::{ReceivedMessage, Reply, SafeEnd, Session, printable_name};
 pub use symbols::{CodeLocation, Symbols};
 pub use wait_budget::WaitBudget;
 pub use wall_clock::WallClockLink;

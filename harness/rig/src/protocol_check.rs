@@ -9,8 +9,8 @@ mod scripts;
 
 use crate::cancel::CancelToken;
 use crate::link::{Link, LinkError, LinkKind};
+use crate::rig_error::RigError;
 use crate::rigs::hosted::HostedLink;
-use crate::session::RigError;
 pub use comparison::is_defined_law;
 pub use coverage::ProtocolCoverage;
 

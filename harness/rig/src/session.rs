@@ -2,72 +2,17 @@
 
 use crate::cancel::CancelToken;
 use crate::command_audit::{CommandAudit, DrivesAfterSafe};
-use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
+use crate::handshake::{HANDSHAKE_TIMEOUT, handshake};
 use crate::link::{Link, LinkError, LinkKind, RealTimeLine};
 use crate::rejected_frame::{FrameMeter, RejectedFrame};
+use crate::rig_error::RigError;
 use platebench_model::record::Transport;
 use platebench_wire::{
-    Command, Configure, Configured, ControllerState, FaultReport, Gains, Identity, Message, Packet, PacketReader,
-    Rejection, Sample,
+    Command, Configure, Configured, ControllerState, Gains, Identity, Message, Packet, PacketReader, Sample,
 };
 use std::thread;
 use std::time::{Duration, Instant};
 use tracing::{debug, trace, warn};
-
-/// Why a session cannot continue.
-#[derive(Debug, thiserror::Error)]
-pub enum RigError {
-    #[error(transparent)]
-    Link(#[from] LinkError),
-    #[error(
-        "no {expected} from the controller; is it running, and does it speak version {} of the protocol?",
-        platebench_wire::VERSION
-    )]
-    NoAnswer { expected: &'static str },
-    #[error(
-        "no identity from the controller within {} s{rejected}; is it running, is the baud rate right, and does it speak \
-         version {} of the protocol?",
-        waited.as_secs(), platebench_wire::VERSION
-    )]
-    NoIdentity { waited: Duration, rejected: RejectedBytes },
-    #[error("cancelled while the bench waited for the identity of the controller")]
-    Cancelled,
-    #[error("no {expected} from the controller: {frame}")]
-    RejectedAnswer { expected: &'static str, frame: RejectedFrame },
-    #[error("this rig cannot be used in real time; use --clock lockstep")]
-    NoRealTime,
-    #[error("the controller was restarted in the middle of a trial")]
-    Restarted,
-    #[error(
-        "another client uses the line: the controller answered a hello or a configuration that this bench did not \
-         send; let one client at a time use the server's port"
-    )]
-    OtherClient,
-    #[error("the controller answered with a sequence number that the bench has not sent")]
-    WrongSequence,
-    #[error("the controller refused its configuration: {}", match .0 {
-        Rejection::Value => "a value is outside the range that the controller accepts",
-        Rejection::Law => "it does not have this law; one with a law of its own must accept the numbers 0 to 8",
-    })]
-    ConfigurationRejected(Rejection),
-    #[error(
-        "the controller trapped: code {}, pc {:#010x}, lr {:#010x}, cfsr {:#010x}, address {:#010x}",
-        .0.code, .0.pc, .0.lr, .0.cfsr, .0.address
-    )]
-    Trapped(FaultReport),
-    #[error("the built-in scripts of the protocol check are invalid: {0}")]
-    InvalidScripts(String),
-}
-
-impl RigError {
-    /// The error without instants and callers: equal for the same fault at the same place.
-    pub fn cause(&self) -> String {
-        match self {
-            Self::Link(LinkError::Target(error)) => error.cause(),
-            other => other.to_string(),
-        }
-    }
-}
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reply {
@@ -349,8 +294,8 @@ impl<L: Link> Session<L> {
     }
 
     /// Reads the line after the controller confirmed 0 V, for at least 20 ms and 10 control periods
-    /// of the target's time, or for 20 ms after a cancellation. Requests 0 V again if the controller commanded a drive. Returns the
-    /// commands with a drive since the last call.
+    /// of the target's time, or for 20 ms after a cancellation. Requests 0 V again if the controller
+    /// commanded a drive. Returns the commands with a drive since the last call.
     pub fn observe_safe_state(&mut self) -> Option<DrivesAfterSafe> {
         let duration = MIN_OBSERVATION.max(self.period * OBSERVED_PERIODS);
         let is_simulated = self.link.kind() == LinkKind::Simulated;
@@ -498,17 +443,32 @@ impl<L: Link> Session<L> {
         let sequence = self.next_sequence(&message);
         self.discard_consumed();
         let packet = Packet { sequence, message };
-        if matches!(message, Message::Sample(_))
-            && self.transport != Transport::Words
-            && let Some(answer) =
-                self.link.answer_sample(self.now, &packet, self.transport == Transport::BlocksAndWords)
-        {
-            let answer = self.check_link(answer)?;
-            self.audit.record(sequence, &answer);
-            self.pending_command = None;
+        let answer = match self.answer_without_bytes(&packet) {
+            Some(answer) => Some((self.check_link(answer)?, Duration::ZERO)),
+            None => self.exchange_bytes(&packet)?,
+        };
+        if answer.is_some() {
             self.last_command_sequence = sequence;
-            return Ok(Some((answer.message, Duration::ZERO)));
         }
+        Ok(answer)
+    }
+
+    /// `None` if the sample must pass as bytes.
+    fn answer_without_bytes(&mut self, packet: &Packet) -> Option<Result<Message, LinkError>> {
+        if !matches!(packet.message, Message::Sample(_)) || self.transport == Transport::Words {
+            return None;
+        }
+        let is_checked = self.transport == Transport::BlocksAndWords;
+        let answer = self.link.answer_sample(self.now, packet, is_checked)?;
+        Some(answer.map(|answer| {
+            self.audit.record(packet.sequence, &answer);
+            self.pending_command = None;
+            answer.message
+        }))
+    }
+
+    fn exchange_bytes(&mut self, packet: &Packet) -> Result<Option<(Message, Duration)>, RigError> {
+        let sequence = packet.sequence;
         let frame = packet.encode();
         let exchanged = self.link.exchange(self.now, frame.as_bytes(), &mut self.bytes);
         let delay = self.check_link(exchanged)?;
@@ -524,11 +484,7 @@ impl<L: Link> Session<L> {
                 other = filter.new_command(packet).or(other);
             }
         })?;
-        if answer.is_some() {
-            self.last_command_sequence = sequence;
-        } else {
-            self.pending_command = other;
-        }
+        self.pending_command = other.filter(|_| answer.is_none());
         Ok(answer)
     }
 

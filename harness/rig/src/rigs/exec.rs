@@ -9,10 +9,11 @@ mod output;
 mod program;
 
 use crate::factory::{Argument, Capability, ConnectError, ConnectOptions, Rig, RigFactory, RigProperties};
-use crate::handshake::{HANDSHAKE_TIMEOUT, RejectedBytes, handshake};
+use crate::handshake::{HANDSHAKE_TIMEOUT, handshake};
 use crate::link::{BoxedLink, Link, LinkError, LinkKind, RealTimeLine};
 use crate::port::{Port, open_pseudo_terminal};
-use crate::session::RigError;
+use crate::rejected_bytes::RejectedBytes;
+use crate::rig_error::RigError;
 use program::Program;
 use rustix::fd::OwnedFd;
 use std::time::{Duration, Instant};
