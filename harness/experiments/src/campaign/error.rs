@@ -5,7 +5,7 @@ use platebench_engine::RunError;
 use platebench_model::record::FolderError;
 use platebench_model::scenario::Diagnostic;
 use platebench_model::trace::FileError;
-use platebench_rig::{ConnectError, RigError};
+use platebench_rig::ConnectError;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, thiserror::Error)]
@@ -87,12 +87,6 @@ pub enum CampaignError {
     Folder(#[from] FolderError),
     #[error("the controller was lost or did not confirm 0 V: check the amplifier before you touch the plate")]
     NotSafe,
-}
-
-impl From<RigError> for CampaignError {
-    fn from(error: RigError) -> Self {
-        RunError::from(error).into()
-    }
 }
 
 impl CampaignError {

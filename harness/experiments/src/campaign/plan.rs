@@ -3,6 +3,7 @@
 use crate::campaign::definition::{Campaign, Method};
 use crate::campaign::error::CampaignError;
 use crate::campaign::truncation::Truncation;
+use platebench_engine::RunError;
 use platebench_model::record::{
     CAMPAIGN_PLAN_FILE as PLAN_FILE, FolderError, RECORD_FILE, sha256, sha256_of_file, to_hex,
 };
@@ -226,7 +227,7 @@ pub(crate) fn firmware_digest(rig: &RigSpec) -> Result<String, CampaignError> {
 }
 
 fn identity(rig: &RigSpec) -> Result<String, CampaignError> {
-    let session = Session::open(FaultInjector::new(rig.connect()?))?;
+    let session = Session::open(FaultInjector::new(rig.connect()?)).map_err(RunError::from)?;
     let identity = *session.identity();
     session.close();
     let name = printable_name(&identity);

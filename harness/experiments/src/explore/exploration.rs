@@ -218,7 +218,10 @@ impl Exploration {
         let Scenario { messages, .. } = &sequence.scenario;
         let counts = self.rules.counts();
         let law = law.number().unwrap_or(LawId::OpenLoop);
-        self.rules.add(messages, &configure(&sequence.scenario, law)).map_err(RigError::Link)?;
+        self.rules
+            .add(messages, &configure(&sequence.scenario, law))
+            .map_err(RigError::Link)
+            .map_err(RunError::from)?;
         let exercised = self.rules.counts().into_iter().zip(counts).filter(|((_, now), (_, before))| now > before);
         let rules = exercised.map(|((rule, _), _)| Feature::Rule(rule));
         let features = result.features.iter().cloned().chain(rules).collect();

@@ -205,7 +205,7 @@ impl KillRateConfig {
         cancel: &CancelToken,
     ) -> Result<Exploration, ExploreError> {
         // Mutants announce what the hosted controller announces.
-        let identity = *Session::open(HostedLink::new())?.identity();
+        let identity = *Session::open(HostedLink::new()).map_err(RunError::from)?.identity();
         let config = ExploreConfig {
             envelope: self.envelope.clone(),
             seed: self.seed,

@@ -90,6 +90,7 @@ fn trials(envelope: &Envelope) -> Vec<SceneTrial> {
     let largest_force = (range.finger_force_n[1] * 100.0) as i32;
     let mut periods = range.period_ms.map(|ms| (ms * 1e3) as u32).to_vec();
     periods.push(1_000.clamp(periods[0], periods[1]));
+    periods.sort_unstable();
     periods.dedup();
     let conditions = [(0.0, 0), (lowest_hz, 0), (highest_hz, largest_force), (0.0, largest_force)];
     let touch_us = known_us(KNOWN_NM.len());

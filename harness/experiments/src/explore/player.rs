@@ -201,9 +201,3 @@ pub enum ExploreError {
     #[error(transparent)]
     File(#[from] FileError),
 }
-
-impl From<RigError> for ExploreError {
-    fn from(error: RigError) -> Self {
-        RunError::from(error).into()
-    }
-}

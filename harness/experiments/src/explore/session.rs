@@ -167,7 +167,7 @@ impl ExploreSession {
         ends: &SafeEnds,
         cancel: &CancelToken,
     ) -> Result<(Identity, LinkKind, Vec<Regression>), ExploreError> {
-        let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel)?;
+        let mut session = Session::open_cancellable(FaultInjector::new(connect()?), cancel).map_err(RunError::from)?;
         let identity = *session.identity();
         let kind = session.link().kind();
         let regressions = self.regressions.iter().map(|scenario| {

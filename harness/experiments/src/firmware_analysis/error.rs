@@ -2,7 +2,7 @@
 
 use platebench_engine::RunError;
 use platebench_model::scenario::Diagnostic;
-use platebench_rig::{ConnectError, EmulatedError, RigError};
+use platebench_rig::{ConnectError, EmulatedError};
 
 #[derive(Debug, thiserror::Error)]
 pub enum FirmwareAnalysisError {
@@ -48,12 +48,6 @@ const MAX_NAMES: usize = 5;
 fn first_names(functions: &[String]) -> String {
     let names: Vec<&str> = functions.iter().take(MAX_NAMES).map(String::as_str).collect();
     names.join(", ") + if functions.len() > MAX_NAMES { ", …" } else { "" }
-}
-
-impl From<RigError> for FirmwareAnalysisError {
-    fn from(error: RigError) -> Self {
-        RunError::from(error).into()
-    }
 }
 
 impl FirmwareAnalysisError {

@@ -3,7 +3,9 @@
 use crate::firmware_analysis::code_map::CodeMap;
 use crate::firmware_analysis::error::FirmwareAnalysisError;
 use platebench_engine::plan::LinkFactory;
-use platebench_engine::{Executor, ExecutorSettings, SafeEnds, ScenarioEnd, TrialResult, law, why_not_applicable};
+use platebench_engine::{
+    Executor, ExecutorSettings, RunError, SafeEnds, ScenarioEnd, TrialResult, law, why_not_applicable,
+};
 use platebench_model::record::Verdict;
 use platebench_model::scenario::Scenario;
 use platebench_model::trace::{MAX_IMAGE_BYTES, Row, read_regular_file};
@@ -61,7 +63,7 @@ impl FirmwareSuite {
         }
         let mut suite =
             Self { elf: rig.image().map(Path::to_owned), scenarios: Vec::new(), not_applicable: Vec::new() };
-        let mut session = Session::open(FaultInjector::new(suite.connect()?))?;
+        let mut session = Session::open(FaultInjector::new(suite.connect()?)).map_err(RunError::from)?;
         for scenario in scenarios {
             let law = law(&scenario).map_err(|fault| FirmwareAnalysisError::Scenario(Box::new(fault)))?;
             let missing = why_not_applicable(&scenario, law, true, &mut session);
