@@ -28,6 +28,9 @@ pub fn answer_line(mut reader: impl Read, mut writer: impl Write, copies: usize)
     }
 }
 
+/// Address without a server. Another test could take a port that was free for a moment.
+pub const UNREACHABLE: &str = "127.0.0.1:1";
+
 /// Starts a server with a simulated board. It accepts one connection after the other.
 ///
 /// # Panics

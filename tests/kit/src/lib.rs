@@ -13,7 +13,7 @@ mod scenarios;
 mod scripted_link;
 mod terminal;
 
-pub use board::{answer_line, random_configure, random_sample, serve_board, uniform, wave_sample};
+pub use board::{UNREACHABLE, answer_line, random_configure, random_sample, serve_board, uniform, wave_sample};
 pub use configuration::CONFIGURE;
 pub use identity::IDENTITY;
 pub use process::{ChildGuard, command_with_default_signals, skip_without};

@@ -2,7 +2,7 @@
 
 use super::{CONFIGURE, RECEIVE_TIMEOUT, sample};
 use platebench_rig::{BoxedLink, ConnectError, NetworkError, RigSpec, Session};
-use platebench_test_kit::{ChildGuard, IDENTITY, answer_line, open_terminal, serve_board, skip_without};
+use platebench_test_kit::{ChildGuard, IDENTITY, UNREACHABLE, answer_line, open_terminal, serve_board, skip_without};
 use platebench_wire::Message;
 use rstest::rstest;
 use std::fs;
@@ -35,13 +35,10 @@ fn controls_over_tcp() {
 
 #[test]
 fn names_the_address_that_cannot_be_reached() {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap();
-    drop(listener);
     for kind in ["tcp", "rfc2217"] {
-        let refused = connect(&format!("{kind}:{address}")).err().unwrap();
+        let refused = connect(&format!("{kind}:{UNREACHABLE}")).err().unwrap();
         assert!(matches!(refused.downcast_ref(), Some(NetworkError::Connect { .. })), "{refused}");
-        assert!(!refused.is_invalid_input() && refused.to_string().starts_with(&address.to_string()), "{refused}");
+        assert!(!refused.is_invalid_input() && refused.to_string().starts_with(UNREACHABLE), "{refused}");
     }
 }
 
@@ -55,7 +52,8 @@ fn ser2net(accepter: &str) -> Option<(ChildGuard, String, (tempfile::TempDir, fs
     thread::spawn(move || answer_line(master.try_clone().unwrap(), master, 1));
     // The terminal is kept open, because it would hang up when ser2net closes it.
     let slave = fs::File::options().read(true).write(true).open(&path).unwrap();
-    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    // Other tests use 127.0.0.1, so that none takes the port before ser2net opens it.
+    let address = TcpListener::bind("127.0.0.2:0").unwrap().local_addr().unwrap();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("ser2net.yaml");
     let (host, port) = (address.ip(), address.port());
