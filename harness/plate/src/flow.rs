@@ -161,7 +161,7 @@ struct ExponentialTerm {
     pole: Complex64,
 }
 
-/// What U needs, in the fixed frame.
+/// Constants of U, which is in the fixed frame.
 #[derive(Debug, Clone, Copy)]
 struct FixedFrame {
     /// U of the steady state, `jωW∞`.
