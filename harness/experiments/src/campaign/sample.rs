@@ -98,10 +98,11 @@ impl TrialSample {
         let scores = ranks(&self.scores);
         let sensitivity = |(variable, draws): (&Variable, &Vec<f64>)| {
             let is_number = draws.iter().all(|draw| draw.is_finite()) && draws.len() >= MIN_TRIALS;
-            let correlation = rank_correlation(&ranks(draws), &scores).filter(|_| is_number)?;
+            let draws = ranks(draws);
+            let correlation = rank_correlation(&draws, &scores).filter(|_| is_number)?;
             let interval = rank_correlation_bounds(correlation, draws.len(), campaign.confidence);
             let first_order = matches!(campaign.method, Method::Sobol | Method::Random)
-                .then(|| rank_index(&ranks(draws), &scores, campaign.confidence, campaign.seed))
+                .then(|| rank_index(&draws, &scores, campaign.confidence, campaign.seed))
                 .flatten()
                 .map(|(index, interval)| FirstOrderIndex { index, interval });
             Some(RankSensitivity { key: variable.key.clone(), correlation, interval, first_order })
