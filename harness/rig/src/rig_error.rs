@@ -17,8 +17,8 @@ pub enum RigError {
     )]
     NoAnswer { expected: &'static str },
     #[error(
-        "no identity from the controller within {} s{rejected}; is it running, is the baud rate right, and does it speak \
-         version {} of the protocol?",
+        "no identity from the controller within {} s{rejected}; is it running, is the baud rate right, and does it \
+         speak version {} of the protocol?",
         waited.as_secs(), platebench_wire::VERSION
     )]
     NoIdentity { waited: Duration, rejected: RejectedBytes },

@@ -91,7 +91,7 @@ struct Interval {
     range: SetpointRange,
 }
 
-/// The intervals of which a bound exceeds the rows of their range.
+/// Intervals with a bound that exceeds the rows of their range.
 fn intervals_with_extremes(
     model: Model,
     plate: &Plate,
